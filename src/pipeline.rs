@@ -17,14 +17,14 @@ mod swept;
 mod truth;
 
 pub use ablation::{AblatedPart, Ablation, AblationRows, Part, ablate};
-pub use calibrig_estimation::calibration::{
-    ALL_TERMS, CalibrateError, ChosenRow, Confidence, DEFAULT_TERMS, FALSE_ALARM, FailedVariant, Judgement, ModelChoice,
-    ObservationResidual, PredictedPosition, SplitMode, SplitPlan, SplitStudy, Worse, calibrate, choose, judge, pose_count,
-    repeat_splits, without_gross_errors,
-};
 pub use acceptance::{AcceptanceOutcome, Finding, Ratios, Test, TestOutcome, TestedKind, test_instruments};
 pub(crate) use bounds::information_at_truth;
 pub use bounds::{TruthBounds, bounds_at_truth};
+pub use calibrig_estimation::calibration::{
+    ALL_TERMS, CalibrateError, ChosenRow, Confidence, DEFAULT_TERMS, FALSE_ALARM, FailedVariant, Judgement,
+    ModelChoice, ObservationResidual, PredictedPosition, SplitMode, SplitPlan, SplitStudy, Worse, calibrate,
+    choose, judge, pose_count, repeat_splits, without_gross_errors,
+};
 pub use closed_loop::{ClosedLoopError, close_loop};
 pub use defaults::{default_modes, default_options, is_default};
 pub use diagnosis::{Names, mm};
@@ -47,20 +47,15 @@ use std::io::{self, Read};
 use std::ops::ControlFlow;
 use std::path::Path;
 
-use nalgebra::Vector3;
 use sha2::{Digest, Sha256};
 use thiserror::Error;
 
 use crate::scenario::Scenario;
-use calibrig_estimation::evaluation::accuracy;
 use calibrig_estimation::evaluation::closed_loop::ClosedLoop;
 pub use calibrig_estimation::evaluation::{ModeOutcome, RegistrationSummary};
-use calibrig_estimation::identification::{
-    CalibratedRobot, IdentificationOptions, IdentifyError, Mode, PredictionError, Predictor, identify,
-    without_calibration,
-};
+use calibrig_estimation::identification::Mode;
 use calibrig_files::Source;
-use calibrig_model::measurement::{CombineError, DriftError, MeasurementSet, StationDrift};
+use calibrig_model::measurement::{CombineError, DriftError, StationDrift};
 pub use calibrig_model::measurement::{SetKind, SetOutcome};
 use calibrig_model::{CalibrationModel, Visual};
 use calibrig_plant::PlantError;
@@ -195,8 +190,9 @@ pub enum PipelineError {
     },
     /// A station that the sweeps shall place does not see enough of them.
     #[error(
-        "{station} reads {} of the {} places of the sweeps that shall place it (place {}: {why}); two sweeps need {LEAST_PLACES} places each: move the station, \
-         turn the target, sweep another range (from_mm, to_mm or from_deg, to_deg), or place it by nests",
+        "{station} reads {} of the {} places of the sweeps that are to place it (place {}: {why}); each of two sweeps needs \
+         {LEAST_PLACES} places: move the station, turn the target, sweep another range (from_mm, to_mm or from_deg, to_deg), \
+         or place it by nests",
         counts[0],
         counts[1],
         counts[2]

@@ -37,7 +37,7 @@ pub enum ReplayError {
     #[diagnostic(transparent)]
     Attachment(#[from] InputError),
     /// The robot is missing.
-    #[error("the recording holds no attachment \"robot/...\", which says what robot was measured")]
+    #[error("the recording holds no attachment \"robot/...\", the file of the robot that was measured")]
     #[diagnostic(help("expected a recording that holds its robot's file, or --model ROBOT.toml"))]
     NoRobot,
     /// The nominal robot does not lie on the recorded points.
@@ -277,8 +277,8 @@ pub fn replay(path: &Path, options: &ReplayOptions) -> Result<Replayed, ReplayEr
         Err(PipelineError::Implausible(why)) => return Err(ReplayError::Implausible(why)),
         checked => checked.map(|()| None)?,
     };
-    let (registration, modes) = calibrate(&model, &sets, &modes, &fit)?;
-    let judgements = judge(&model, &sets, &modes, &fit)?;
+    let (registration, modes) = calibrate(&model, &sets, &modes, &fit).map_err(PipelineError::from)?;
+    let judgements = judge(&model, &sets, &modes, &fit).map_err(PipelineError::from)?;
     let sensors = foresee_sensors(&model, &sets, &modes, &fit);
     let whole = missing.is_empty() && !options.changes_anything();
     let (mut differences, mut parameters, mut compared) = (Vec::new(), Vec::new(), 0);
@@ -349,7 +349,7 @@ fn made_by_another(provenance: Option<&Provenance>, estimates: &[RecordedEstimat
     }
     let made_by = match provenance {
         Some(provenance) => MadeBy { software: provenance.software.clone(), method: provenance.method },
-        None => MadeBy { software: "a program that is not stated".to_owned(), method: 1 },
+        None => MadeBy { software: "an unknown program".to_owned(), method: 1 },
     };
     (made_by != MadeBy::this()).then_some(made_by)
 }

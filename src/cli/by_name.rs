@@ -1,4 +1,4 @@
-//! Which parameters `identify` fits, in the words of a scenario; and a list of them.
+//! Which parameters `identify` fits, with the keys of a scenario; and their list.
 
 use std::fmt::Write;
 
@@ -19,26 +19,27 @@ use calibrig_model::{CalibrationModel, ParameterId, Unit};
 /// Which parameters are fitted.
 #[derive(Debug, clap::Args)]
 pub(super) struct ByNameArgs {
-    /// Which link parameters: complete (an independent set, by rank), `neighbour_axis_rules` (what the published rules keep; short: rules), or
-    /// names
+    /// Which link parameters: complete (an independent set, by rank), `neighbour_axis_rules` (those that the published rules keep; short:
+    /// rules), or names such as delta_a2,delta_theta4
     #[arg(long, value_name = "WHICH,..", value_delimiter = ',', default_value = "complete", value_parser = which)]
     parameters: Vec<String>,
     /// Parameters that stay at their nominal, stated or predicted values, such as `delta_a3`, `target_z` or `compliance_drive2`
     #[arg(long, value_name = "NAME,..", value_delimiter = ',', value_parser = id)]
     fix: Vec<ParameterId>,
-    /// Parameters that are fitted whatever else leaves them out; of link parameters that cannot be told from each other these are taken
+    /// Parameters that are fitted even if another choice leaves them out; of link parameters that cannot be told apart, these are kept.
+    /// Example: delta_d3
     #[arg(long, value_name = "NAME,..", value_delimiter = ',', value_parser = id)]
     free: Vec<ParameterId>,
-    /// What is known of the tracker's place [default: nests where three are stated, else free]
+    /// How the tracker is placed [default: nests if three are stated, else free]
     #[arg(long, value_enum, value_name = "CHOICE")]
     frame: Option<FrameArg>,
-    /// What becomes of the errors that readings of an instrument share [default: identified where they are stated, with what is stated as a prior]
+    /// How the errors that an instrument's readings share are treated [default: identified if they are stated, with the stated values as a prior]
     #[arg(long, value_enum, value_name = "CHOICE")]
     instrument: Option<InstrumentArg>,
-    /// What is known of the targets' offsets [default: measured where their uncertainty is stated, else identified]
+    /// How the targets' offsets are treated [default: measured if their uncertainty is stated, else identified]
     #[arg(long, value_enum, value_name = "CHOICE")]
     target: Option<TargetArg>,
-    /// List the parameters, with what becomes of each, and fit nothing
+    /// List the parameters and how each is treated; fit nothing
     #[arg(long)]
     pub list_parameters: bool,
 }
@@ -55,31 +56,31 @@ fn which(text: &str) -> Result<String, String> {
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum FrameArg {
-    /// The base nests place it; their uncertainty is a prior
+    /// The base nests place it, with their uncertainty as a prior
     Nests,
     /// Sweeps of two axes (--sweeps) tie it to the first links
     Sweeps,
     /// Nothing
     Free,
-    /// The nests' result is exact
+    /// The base nests place it, taken as exact
     Fixed,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum InstrumentArg {
-    /// Identified, with what is stated as a prior
+    /// Identified, with the stated values as a prior
     AsStated,
-    /// There are none: every reading errs by itself
+    /// Ignored: every reading has only its own error
     Ignored,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum TargetArg {
-    /// They were measured; their uncertainty is a prior
+    /// Measured, with the stated uncertainty as a prior
     Measured,
     /// Nothing
     Identified,
-    /// What is stated is exact
+    /// The stated values are exact
     Fixed,
 }
 
@@ -98,7 +99,7 @@ fn refuse(message: String) -> ! {
 }
 
 impl ByNameArgs {
-    /// Puts the choices into `options`. A wrong one is a wrong use of the command line.
+    /// Puts the choices into `options`. An invalid one is an error of usage.
     pub(super) fn apply(&self, model: &CalibrationModel, options: &mut IdentificationOptions) {
         options.parameters = self.links(model.kinematics.joint_count());
         options.fix.clone_from(&self.fix);
@@ -194,7 +195,7 @@ impl JsonListed {
     }
 }
 
-/// The parameters of every mode, as a text or a JSON document.
+/// The parameters of every mode, as text or JSON.
 pub(super) fn list(
     robot: &Robot,
     set: &MeasurementSet,
@@ -215,7 +216,7 @@ pub(super) fn list(
             parameters: listed.iter().map(JsonListed::of).collect(),
         });
         let list = JsonList { schema: "calibrig.parameters/1", name: &robot.name, modes: modes.collect() };
-        // Strings and numbers alone: this cannot fail.
+        // Only strings and numbers: this cannot fail.
         return Ok(serde_json::to_string_pretty(&list).unwrap_or_default() + "\n");
     }
     Ok(lists.iter().map(|(mode, listed)| text_of(*mode, listed)).collect::<Vec<_>>().join("\n"))
@@ -230,10 +231,10 @@ fn text_of(mode: Mode, listed: &[ListedParameter]) -> String {
             ParameterState::Fitted { prior: Some(sigma), .. } => {
                 format!("fitted; prior 0 +- {}", shown(parameter.id.unit(), sigma))
             }
-            ParameterState::Fitted { has_prior: true, .. } => "fitted; what was stated is a prior".to_owned(),
+            ParameterState::Fitted { has_prior: true, .. } => "fitted; the stated value is a prior".to_owned(),
             ParameterState::Fitted { .. } => "fitted".to_owned(),
             ParameterState::LeftOut(reason) => format!("left out: {}", reason.words()),
-            ParameterState::NotChosen => "not chosen: --free takes it".to_owned(),
+            ParameterState::NotChosen => "not chosen: fit it with --free".to_owned(),
         };
         // Writing to a String cannot fail.
         let _ = writeln!(text, "  {:<width$}  {words}", parameter.id.to_string());

@@ -1,4 +1,4 @@
-//! What the commands of campaigns have in common: the manifest, and the answers of a table. `calibrig missing` and `calibrig merge`.
+//! What the commands of campaigns share: the manifest and the evaluation of a table. `calibrig missing` and `calibrig merge`.
 
 use std::io::{BufRead, Write};
 use std::ops::Range;
@@ -15,10 +15,11 @@ use crate::montecarlo::{
 };
 use crate::pipeline::{InputHash, hash_sources};
 
-/// What is told of a table.
+/// How a table is summarised.
 #[derive(Debug, Clone, clap::Args)]
 pub(super) struct Answers {
-    /// Within which the calibrated robot counts as a success, such as 0.2mm [default: that of the section campaign]
+    /// Error in mm or um up to which the calibrated robot counts as a success, such as 0.2mm [default: that of the
+    /// scenario's section campaign]
     #[arg(long, value_name = "LENGTH", value_parser = length)]
     tolerance: Option<f64>,
     /// Write trials.csv as well
@@ -41,15 +42,15 @@ fn length(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Print which shards of a campaign are not there or not sound, in the form in which schedulers take array numbers
+/// Print which shards of a campaign are missing or damaged, in the form that schedulers take as array numbers
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
-  calibrig missing out                                       prints `0-2,5`, or nothing where all are there
+  calibrig missing out                                       prints `0-2,5`, or nothing if all are there
   calibrig missing out --json                                the same with every fault
   sbatch --array=\"$(calibrig missing out)\" out/slurm.sh      runs these again
 
-Looks at the bytes of every shard: what was cut short, altered, or does not belong to the campaign is named. Exit code 3: shards are missing, or
-something lies among them that must not be merged.")]
+Checks the bytes of every shard, and names those that were cut short, altered or do not belong to the campaign. Exit code 3: shards are missing, or
+there are files among them that must not be merged.")]
 pub(super) struct MissingArgs {
     /// The campaign's folder
     folder: PathBuf,
@@ -58,14 +59,14 @@ pub(super) struct MissingArgs {
     json: bool,
 }
 
-/// Make one table of the shards of a campaign, and say what it says
+/// Join the shards of a campaign into one table, and summarise it
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   calibrig merge out                        leaves trials.parquet, summary.json and report.html in out/
-  calibrig merge out --tolerance 0.2mm      and how often the calibrated robot is within 0.2 mm
+  calibrig merge out --tolerance 0.2mm      also says how often the calibrated robot is within 0.2 mm
 
-The table has the same bytes as one of a single machine. Shards that are missing, altered, of another campaign or overlapping are named, and no table is made.
-A folder whose table is made already is summed up again. Exit code 1: something among the shards must not be merged; 3: shards are missing, or a trial failed.")]
+The table has the same bytes as that of a single machine. If shards are missing, altered, overlapping or of another campaign, they are named and no table is made.
+If the table is there already, it is summarised again. Exit code 1: a file among the shards must not be merged; 3: shards are missing, or a trial failed.")]
 pub(super) struct MergeArgs {
     /// The campaign's folder
     folder: PathBuf,
@@ -78,7 +79,7 @@ pub(super) fn missing(args: &MissingArgs) -> Result<Verdict, CliError> {
     let mut inventory = looked_through(&folder);
     let shards = folder.manifest().shards;
     if folder.is_complete() && inventory.sound() == 0 {
-        // All was done by one machine, or the shards are put away.
+        // One machine did it all, or the shards were moved away.
         inventory.missing.clear();
         say("trials.parquet is complete");
     }
@@ -123,12 +124,13 @@ pub(super) fn merge(args: &MergeArgs) -> Result<Verdict, CliError> {
         tell_unsound(&folder);
         if shards == 1 && inventory.faults.is_empty() {
             say(
-                "doubtful: the campaign is not complete, and was not done in shards: `calibrig montecarlo` with the same options and --resume goes on with it",
+                "doubtful: the campaign is not complete, and was not run in shards: repeat the `calibrig montecarlo` command \
+                 with --resume to continue it",
             );
             return Ok(Verdict::Doubtful);
         }
         say(&format!(
-            "doubtful: {missing} of {shards} shards are missing, and no table is made: {}; run these again, then merge",
+            "doubtful: {missing} of {shards} shards are missing, so no table is made: {}; run these shards again, then merge",
             inventory.array()
         ));
         return Ok(Verdict::Doubtful);
@@ -145,11 +147,12 @@ fn opened(path: &Path) -> Result<Folder, CliError> {
     Ok(Folder::open(path)?)
 }
 
-/// Says that the whole table cannot be used.
+/// Warns that the table cannot be used as a whole.
 pub(super) fn tell_unsound(folder: &Folder) {
     if folder.has_unsound_table() {
         say(&format!(
-            "{}: cut short, altered, or not of this campaign: it does not have the sum that trials.parquet.sha256 tells of, and is made again",
+            "{}: cut short, altered, or of another campaign: it does not match the checksum in trials.parquet.sha256, and is \
+             made again",
             folder.table().display()
         ));
     }
@@ -157,7 +160,7 @@ pub(super) fn tell_unsound(folder: &Folder) {
 
 fn looked_through(folder: &Folder) -> Inventory {
     let shards = u64::from(folder.manifest().shards);
-    with_progress("looking through the shards", |progress| {
+    with_progress("checking the shards", |progress| {
         folder.inventory(&mut |done| progress(done, shards.max(done)))
     })
 }
@@ -166,7 +169,7 @@ fn tell_faults(inventory: &Inventory) {
     inventory.faults.iter().for_each(|fault| say(&fault.to_string()));
 }
 
-/// One file of the shards' side files, in the order of the shards. They are of no result: what cannot be read is left out.
+/// One of the shards' side files, in the order of the shards. No result depends on them: an unreadable one is left out.
 fn join_timings(folder: &Folder) {
     let entries = std::fs::read_dir(folder.path().join("shards")).into_iter().flatten().flatten();
     let mut files: Vec<PathBuf> = entries
@@ -200,7 +203,7 @@ pub(super) fn with_rows<T>(
     .map_err(CliError::from)
 }
 
-/// What fixes a campaign in `shards` parts, with the trials of `range`.
+/// The manifest of a campaign in `shards` parts, with the trials of `range`.
 pub(super) fn manifest(
     campaign: &Campaign<'_>,
     columns: &TrialColumns,
@@ -234,7 +237,7 @@ pub(super) fn manifest(
 fn software() -> Result<Software, CliError> {
     let failed =
         |source| CliError::Output { what: "the manifest: this program's own file".to_owned(), source };
-    // What runs, where the system tells it: the file may have been replaced since it began.
+    // The program that is running, if the system can say: the file may have been replaced since it started.
     let running = Path::new("/proc/self/exe");
     let path =
         if running.exists() { running.to_path_buf() } else { std::env::current_exe().map_err(failed)? };
@@ -247,7 +250,7 @@ fn software() -> Result<Software, CliError> {
     })
 }
 
-/// What the table says: files beside it, and tables here.
+/// What the table says: as files next to it, and as tables on the terminal.
 pub(super) fn conclude(folder: &Folder, answers: &Answers, made: &'static str) -> Result<Verdict, CliError> {
     let table = TableReader::open(&folder.table()).map_err(FolderError::from)?;
     let summary = summed_up(folder, &table, answers)?;
@@ -271,7 +274,7 @@ pub(super) fn conclude(folder: &Folder, answers: &Answers, made: &'static str) -
     Ok(verdict(&summary))
 }
 
-/// The same of a table that is not complete: nothing is written.
+/// The same for a table that is not complete: nothing is written.
 pub(super) fn show(folder: &Folder, table: &dyn Table, answers: &Answers) -> Result<(), CliError> {
     let summary = summed_up(folder, table, answers)?;
     print(&if answers.json { format!("{:#}\n", summary_json(&summary)) } else { summary_text(&summary) })
@@ -294,7 +297,7 @@ fn summed_up(folder: &Folder, table: &dyn Table, answers: &Answers) -> Result<Ca
         first: manifest.first,
     };
     let tolerance = answers.tolerance.or(study.tolerance);
-    let summary = with_progress("summing up", |_| summarise(subject, &study, table, tolerance));
+    let summary = with_progress("summarising", |_| summarise(subject, &study, table, tolerance));
     summary.map_err(|error| CliError::Summary { path: folder.path().to_path_buf(), source: Box::new(error) })
 }
 
@@ -303,14 +306,14 @@ fn verdict(summary: &CampaignSummary) -> Verdict {
         return Verdict::Done;
     }
     say(&format!(
-        "doubtful: {} of {} trials failed: columns status and reason of the table say why",
+        "doubtful: {} of {} trials failed: see the columns status and reason of the table",
         HumanCount(summary.failed),
         HumanCount(summary.trials)
     ));
     Verdict::Doubtful
 }
 
-/// The table as text: numbers are written so that they are read back to the bit; absent ones are empty.
+/// The table as text: numbers are read back to the bit, absent ones are empty.
 fn write_csv(folder: &Folder, table: &TableReader) -> Result<(), CliError> {
     let path = folder.path().join("trials.csv");
     let failed = |source| CliError::Output { what: path.display().to_string(), source };
@@ -339,18 +342,20 @@ fn write_csv(folder: &Folder, table: &TableReader) -> Result<(), CliError> {
 pub(super) fn help(error: &FolderError) -> &'static str {
     match error {
         FolderError::AnotherCampaign { .. } => {
-            "expected another folder (--out), or the scenario, the options and the program that the campaign was begun with; what is there is untouched"
+            "expected another folder (--out), or the same program, scenario file and options (--plant, --seed, --trials, \
+             --shards) as in its manifest.json; the folder was not changed"
         }
         FolderError::NoCampaign { .. } => {
-            "expected the folder of a campaign that was begun: `calibrig montecarlo SCENARIO --out DIR`"
+            "expected the folder of a campaign, as `calibrig montecarlo SCENARIO --out DIR` makes it"
         }
         FolderError::Manifest { .. } => {
-            "expected a manifest as `calibrig montecarlo` writes it; begin the campaign anew in another folder"
+            "expected a manifest as `calibrig montecarlo` writes it; start the campaign again in another folder"
         }
         FolderError::NoShard { .. } => "expected I from 0 and below N in --shard I/N",
-        FolderError::Missing { .. } => "run what `calibrig missing` prints again",
+        FolderError::Missing { .. } => "run the shards that `calibrig missing` prints again",
         _ => {
-            "expected room and permission to read and write there; what was written before is kept, and `calibrig montecarlo` with --resume (or the same --shard) goes on"
+            "expected free space and permission to read and write there; what was written is kept: continue with `calibrig \
+             montecarlo` and --resume (or the same --shard)"
         }
     }
 }

@@ -166,7 +166,7 @@ fn write_text(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
     };
     writeln!(text, "  parameters   {parameters}")?;
     let frame = match options.frame {
-        FrameChoice::AsStated => "the base nests where three or more were measured, else free",
+        FrameChoice::AsStated => "the base nests if three or more were measured, else free",
         FrameChoice::Nests => "the base nests, with their uncertainty as a prior",
         FrameChoice::Sweeps => "sweeps of two axes, with their uncertainty",
         FrameChoice::Free => "free",
@@ -174,7 +174,7 @@ fn write_text(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
     };
     writeln!(text, "  tracker from {frame}")?;
     let target = match options.target {
-        TargetChoice::AsStated => "measured where its uncertainty is stated, else identified",
+        TargetChoice::AsStated => "measured if its uncertainty is stated, else identified",
         TargetChoice::Measured => "measured, with its uncertainty as a prior",
         TargetChoice::Identified => "identified",
         TargetChoice::Fixed => "taken as exact",
@@ -205,7 +205,7 @@ fn write_text(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
     writeln!(text, "  rows         {}", modes.join(", "))
 }
 
-/// A line a joint.
+/// One line per joint.
 fn write_joints(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
     let model = &scenario.robot.model;
     for (index, link) in model.kinematics.links.iter().enumerate() {
@@ -231,7 +231,7 @@ fn write_joints(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
     Ok(())
 }
 
-/// What is drawn of the tracker and its session, beside the noise.
+/// What is drawn of the tracker and its session, besides the noise.
 fn write_tracker(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
     let tracker = &scenario.tracker;
     let instrument = &tracker.instrument;
@@ -252,7 +252,8 @@ fn write_tracker(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
     } else if let Some(Passing { passed, tested }) = scenario.passing() {
         writeln!(
             text,
-            "               errs at random alone, by {} of the MPE; of {tested} such instruments {passed} pass their acceptance test",
+            "               only random errors, of {} of the MPE; of {tested} such instruments {passed} pass their acceptance \
+             test",
             instrument.random_fraction
         )?;
     }
@@ -281,14 +282,14 @@ fn write_tracker(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
     if let Some(law) = &conditions.smr {
         writeln!(
             text,
-            "               SMR centred within {:.1} um, seated within {:.1} um, seen within {:.0} deg",
+            "               SMR centred within {:.1} um, seated within {:.1} um, visible within {:.0} deg",
             law.centring_sigma * 1e6,
             law.seat_sigma * 1e6,
             law.acceptance.to_degrees()
         )?;
     }
     if conditions.misses > 0.0 {
-        writeln!(text, "               {:.2} % of the readings do not come", conditions.misses * 1e2)?;
+        writeln!(text, "               {:.2} % of the readings are missing", conditions.misses * 1e2)?;
     }
     Ok(())
 }
@@ -297,8 +298,8 @@ fn write_tracker(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
 fn payload_lines(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
     let plan = &scenario.plan.payloads;
     let order = match plan.order {
-        PayloadOrder::Blocks => "one behind the other",
-        PayloadOrder::Cycle => "another one at every pose",
+        PayloadOrder::Blocks => "in sequence",
+        PayloadOrder::Cycle => "a different one at every pose",
     };
     for (kind, carried) in
         SetKind::ALL.into_iter().zip(&plan.carried).filter(|(_, carried)| !carried.is_empty())
@@ -313,7 +314,7 @@ fn payload_lines(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
     Ok(())
 }
 
-/// How the session is carried out, where that is more than one reading of each pose after the other.
+/// How the session is carried out, unless it is one reading per pose in order.
 fn session_lines(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
     let plan = &scenario.plan;
     if (SessionPlan { payloads: PayloadPlan::default(), ..plan.clone() }) == SessionPlan::default() {
@@ -330,12 +331,12 @@ fn session_lines(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
     } else {
         match plan.share {
             StationShare::Best => {
-                "; each pose from the one that sees most targets, of these the nearest".to_owned()
+                "; each pose from the station that sees most targets, of these the nearest".to_owned()
             }
-            StationShare::All => "; each pose from all that see it".to_owned(),
+            StationShare::All => "; each pose from all stations that see it".to_owned(),
         }
     };
-    writeln!(text, "  session      {minutes:.0} min, {:.0} s of warm-up in them", plan.timing.warm_up)?;
+    writeln!(text, "  session      {minutes:.0} min, including {:.0} s of warm-up", plan.timing.warm_up)?;
     writeln!(text, "    stations   {stations}{share}")?;
     writeln!(text, "    targets    {targets}")?;
     let approach = match plan.approach {
@@ -349,7 +350,7 @@ fn session_lines(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
     };
     let order = match plan.order {
         PoseOrder::AsDrawn => "as drawn",
-        PoseOrder::ShortTravel => "by short ways",
+        PoseOrder::ShortTravel => "by short paths",
     };
     writeln!(
         text,
@@ -367,22 +368,22 @@ fn session_lines(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
     let faces = if rounds.two_faces { ", in both faces" } else { "" };
     writeln!(text, "    nests      before the first pose{between}{after}{faces}")?;
     match &plan.sight {
-        None => writeln!(text, "    sight      taken as free, targets as turned to the tracker"),
+        None => writeln!(text, "    sight      taken as free, with targets turned to the tracker"),
         Some(sight) => {
             let bare: Vec<_> = sight.obstacles.without_shape().collect();
             let links = if !sight.obstacles.has_links() {
-                "past no link".to_owned()
+                "not blocked by links".to_owned()
             } else if sight.obstacles.is_chain() {
-                "past capsules along the chain".to_owned()
+                "blocked by links as capsules along the chain".to_owned()
             } else if bare.is_empty() {
-                "past the shapes of all links".to_owned()
+                "blocked by the shapes of all links".to_owned()
             } else {
-                format!("past the shapes of the links; without any: {}", bare.join(", "))
+                format!("blocked by the shapes of the links; without shapes: {}", bare.join(", "))
             };
             let openings = plan.targets.iter().map(|target| target.opening);
             let turned = std::iter::once(plan.opening).chain(openings).any(|opening| opening.is_some());
             let opening = if turned {
-                format!("within {:.1} deg of where a target's opening points", sight.acceptance.to_degrees())
+                format!("within {:.1} deg of the axis of a target's opening", sight.acceptance.to_degrees())
             } else {
                 "targets turned to the tracker".to_owned()
             };

@@ -18,19 +18,20 @@ use calibrig_estimation::evaluation::{Criteria, Verdict as Worth};
 use calibrig_estimation::identification::{LINKAGE, Outlier};
 use calibrig_model::FAMILIES;
 
-/// Compare models on poses that they were not fitted to: does gravity, the linkage, hysteresis pay?
+/// Compare models on poses that they were not fitted to: do gravity, the linkage or hysteresis pay?
 ///
-/// Every model is fitted to all identification poses and, in turn, to all but a part of them, which it then predicts. Each is compared with the
-/// model that it extends: gravity with geometry, stiffness with gravity, and the rest, one by one and all together, with geometry and stiffness.
+/// Every model is fitted to all identification poses and then, in turn, to all but a part of them, which it predicts. Each is compared with the
+/// model that it extends: gravity with geometry, stiffness with gravity, and the others, one by one and all together, with geometry and
+/// stiffness.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   calibrig choose scenarios/paper.toml
   calibrig choose scenarios/paper.toml --folds 20 --json
   calibrig choose --model models/ur5/robot.toml --measurements grid.csv
 
-A model pays where the 95 % interval of its gain on held-out poses excludes zero. AICc and BIC take the noise as known up to a common
-scale. From files, what is known of tracker and target and the priors are those that `calibrig identify` has by default, with what the
-robot's file states of its stiffnesses, masses and centres (compliance_percent, mass_percent, centre_mm).
+A model pays if the 95 % interval of its gain on held-out poses excludes zero. AICc and BIC take the noise as known up to a common
+scale. With files, tracker, target and priors are treated as `calibrig identify` does by default, including the uncertainties that the
+robot's file states for stiffnesses, masses and centres (compliance_percent, mass_percent, centre_mm).
 Exit code 3 if a fit did not converge or a model could not be fitted.")]
 pub(super) struct Args {
     /// The scenario file, whose identification poses are simulated
@@ -44,27 +45,27 @@ pub(super) struct Args {
     urdf: Option<PathBuf>,
     #[command(flatten)]
     chain: ChainArgs,
-    /// Positions to fit and to hold out
+    /// Measured positions to fit and to hold out
     #[arg(long, value_name = "[TARGET=]FILE", requires = "robot")]
     measurements: Vec<String>,
     #[command(flatten)]
     rows: RowArgs,
-    /// Column map of the file, instead of the one that the robot's file names
+    /// Column map of the file, instead of the one named in the robot's file
     #[arg(long, value_name = "MAP.toml", requires = "robot")]
     columns: Option<PathBuf>,
     /// Stations with their nests, and targets with their uncertainty (docs/formats.md)
     #[arg(long, value_name = "SESSION.toml", requires = "robot")]
     session: Option<PathBuf>,
-    /// Parts that are held out in turn; as many as poses hold them out one by one
+    /// Number of parts that are held out in turn; the number of poses holds them out one by one
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(2..=100_000))]
     folds: u32,
-    /// Seed of the random parts, and of a scenario's draws instead of its own [default: the scenario's, or 1]
+    /// Seed of the random parts and, instead of the scenario's own, of its draws [default: the scenario's, or 1]
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
-    /// What a measurement far off the others costs: its square, or less [default: as the scenario says, else squared]
+    /// Loss of a measurement far from the others: its square, or less [default: as the scenario states, else squared]
     #[arg(long, value_enum)]
     loss: Option<LossArg>,
-    /// Fit although the nominal robot does not lie on the points; ends with exit code 3
+    /// Fit even if the nominal robot does not fit the points; ends with exit code 3
     #[arg(long, requires = "robot")]
     fit_anyway: bool,
     /// Print as JSON (schema calibrig.choice/1)
@@ -97,13 +98,15 @@ fn of_scenario(args: &Args, path: &Path) -> Result<(String, ModelChoice, Verdict
     });
     bar.finish_and_clear();
     let source = &scenario.sources[0].1;
-    let refused = |error| not_identified(error, path, source, source.place_of("poses.identification"));
+    let refused = |error: pipeline::PipelineError| {
+        not_identified(error, path, source, source.place_of("poses.identification"))
+    };
     let sets = simulation.and_then(|simulation| without_drift(simulation.sets)).map_err(refused)?.sets;
     let choice = compare(|progress| {
         let measured = &sets[0].measurements;
         choose(&scenario.robot.model, measured, &scenario.options, args.folds as usize, seed, progress)
     });
-    Ok((scenario.name.clone(), choice.map_err(refused)?, Verdict::Done))
+    Ok((scenario.name.clone(), choice.map_err(|error| refused(error.into()))?, Verdict::Done))
 }
 
 fn of_files(args: &Args) -> Result<(String, ModelChoice, Verdict), CliError> {
@@ -132,8 +135,8 @@ fn of_files(args: &Args) -> Result<(String, ModelChoice, Verdict), CliError> {
 }
 
 fn compare(
-    choose: impl FnOnce(&mut dyn FnMut(usize, usize, &str)) -> Result<ModelChoice, pipeline::PipelineError>,
-) -> Result<ModelChoice, pipeline::PipelineError> {
+    choose: impl FnOnce(&mut dyn FnMut(usize, usize, &str)) -> Result<ModelChoice, pipeline::CalibrateError>,
+) -> Result<ModelChoice, pipeline::CalibrateError> {
     let bar = bar("fitting model {pos}/{len}: {msg} {elapsed}");
     let choice = choose(&mut |done, models, name| {
         bar.set_length(models as u64);
@@ -165,7 +168,7 @@ fn verdict(choice: &ModelChoice) -> Verdict {
         if Outlier::are_a_reason(&choice.gross_errors) {
             verdict = Verdict::Doubtful;
             say(&format!(
-                "doubtful: gross errors count in every fit: {named}; `--loss tukey` leaves them out"
+                "doubtful: gross errors have full weight in every fit: {named}; `--loss tukey` leaves them out"
             ));
         } else {
             say(&format!("left out as gross errors: {named}"));
@@ -227,7 +230,7 @@ fn write_text(name: &str, choice: &ModelChoice, text: &mut String) -> std::fmt::
         } else {
             ""
         };
-        writeln!(text, "{name}: not compared: nothing that was measured acts on it{hint}")?;
+        writeln!(text, "{name}: not compared: nothing that was measured depends on it{hint}")?;
     }
     writeln!(text)?;
     writeln!(text, "{}", advice(choice))
@@ -237,7 +240,7 @@ fn difference(value: f64) -> String {
     if value.is_finite() { format!("{value:.1}") } else { "-".to_owned() }
 }
 
-/// What a step is worth, against what.
+/// What a step is worth, and compared with what.
 fn in_words(row: &ChosenRow) -> Option<String> {
     let row = &row.row;
     let against = row.against.as_ref()?;
@@ -245,13 +248,14 @@ fn in_words(row: &ChosenRow) -> Option<String> {
     let why = match row.verdict {
         Worth::Pays => format!("predicts held-out poses better, by {size:.3} mm RMS"),
         Worth::Hurts => format!("predicts held-out poses worse, by {:.3} mm RMS", -size),
-        Worth::Undecided => "fits better, but held-out poses do not show it beyond chance".to_owned(),
-        _ => "neither held-out poses nor AICc speak for it".to_owned(),
+        Worth::Undecided => "fits better, but not beyond chance on held-out poses".to_owned(),
+        _ => "neither held-out poses nor AICc support it".to_owned(),
     };
     Some(format!("{}: {} ({why}; against {against})", row.name, row.verdict))
 }
 
-/// What to fit, as `identify` is asked for it: all together, where that predicts best; else the largest model of the chain that pays, with the terms that pay.
+/// The flags of `identify` for the best model: all together if that predicts best; else the largest model of the chain that pays, with the terms that
+/// pay.
 fn advice(choice: &ModelChoice) -> String {
     let paying = |key: &str| choice.rows.iter().any(|row| row.key == key && row.row.verdict == Worth::Pays);
     let rms = |row: &ChosenRow| row.row.held_out_rms.unwrap_or(f64::INFINITY);
@@ -271,7 +275,7 @@ fn advice(choice: &ModelChoice) -> String {
             "Worth fitting: --mode extended{terms}{geometry}: {rms:.3} mm RMS on held-out poses."
         );
     }
-    // A family that extends another one is fitted beside it.
+    // A family that extends another one is fitted together with it.
     let needed =
         |key: &&str| FAMILIES.iter().any(|family| family.extends() == Some(*key) && paying(family.key()));
     let families = std::iter::once(LINKAGE).chain(FAMILIES.iter().map(|family| family.key()));
@@ -280,7 +284,8 @@ fn advice(choice: &ModelChoice) -> String {
         let terms = if terms.is_empty() { "none".to_owned() } else { terms.join(",") };
         let geometry = if paying("complete_geometry") { ", with a complete geometry" } else { "" };
         return format!(
-            "Worth fitting: --mode extended --terms {terms}{geometry}; together their gain is not the sum of these, so compare again on new poses."
+            "Worth fitting: --mode extended --terms {terms}{geometry}; the gain of all together is not the sum of these, so \
+             compare again on new poses."
         );
     }
     let mode = if paying("stiffness") {

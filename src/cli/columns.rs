@@ -22,11 +22,11 @@ enum What {
     Suggest(SuggestArgs),
 }
 
-/// Write a column map from what is seen in files, each guess with its reason
+/// Write a column map from what is found in files, each guess with its reason
 ///
-/// Every line of the map says why it is there: a name in the header, the unit behind it, the size of the numbers. What cannot be seen, as a
-/// unit that the numbers do not tell, stands in a comment `# DECIDE:`, and a map in which it is left so is refused where it is used. Joints in
-/// one file and points in others are joined by name, by row or by time, as the files allow.
+/// Every line of the map says why it is there: a name in the header, the unit after it, the size of the numbers. What cannot be found, such as
+/// a unit that the numbers do not reveal, is left in a comment `# DECIDE:`, and the map is refused until it is decided. Joints in one file and
+/// points in others are joined by name, row or time, whichever the files allow.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   calibrig columns suggest grid.csv
@@ -35,7 +35,7 @@ enum What {
   calibrig columns suggest shots.xlsx --sheet Points
   calibrig identify --model robot.toml --measurements grid.csv --columns map.toml
 
-Exit code 3 where something is left to decide.")]
+Exit code 3 if something is left to decide.")]
 struct SuggestArgs {
     /// Files of measurements that belong together
     #[arg(required = true, value_name = "FILE")]
@@ -43,7 +43,7 @@ struct SuggestArgs {
     /// Sheet of an XLSX file [default: the first]
     #[arg(long, value_name = "NAME")]
     sheet: Option<String>,
-    /// The map, which must not be there yet [default: standard output]
+    /// File for the map, which must not exist yet [default: standard output]
     #[arg(long, value_name = "MAP.toml")]
     out: Option<PathBuf>,
 }
@@ -66,7 +66,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     Ok(if map.open.is_empty() { Verdict::Done } else { Verdict::Doubtful })
 }
 
-/// Writes a file that is not there yet.
+/// Writes a file that does not exist yet.
 fn write_new(path: &Path, text: &str) -> Result<(), CliError> {
     let file = OpenOptions::new().write(true).create_new(true).open(path);
     match file.and_then(|mut file| file.write_all(text.as_bytes())) {

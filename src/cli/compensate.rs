@@ -25,13 +25,14 @@ use calibrig_estimation::inverse::{Criterion, CriterionError, InverseError, Inve
 use calibrig_files::actuator_speeds;
 use calibrig_model::nalgebra::Vector3;
 
-/// Commands with which the identified robot puts its tool where it should be
+/// Compute commands with which the identified robot puts its tool where it should be
 ///
-/// A controller computes its commands for the nominal robot. Here they are changed by as little as brings the identified robot's tool to its goal, with its deflection and its terms, to 1 um on the model; with how far off the
-/// nominal command would be, and the standard deviation of every corrected point.
+/// A controller computes its commands for the nominal robot. This command changes them as little as is needed to bring the identified robot's tool to
+/// its goal, with deflection and terms, to 1 um on the model. It reports how far off the nominal command would be, and the standard deviation of
+/// every corrected point.
 ///
-/// Goals of a table are a path where it has a column of times or a speed is stated, else each is for itself; a raster is a path. Along a path each point is sought from the one before, so that joints do not jump,
-/// and corrected for the side from which every actuator comes.
+/// Goals of a table are a path if it has a column of times or a speed is stated, otherwise separate points; a raster is a path. Along a path each
+/// point is searched from the one before, so that joints do not jump, and corrected for the side from which every actuator comes.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   calibrig compensate --estimate calibrated/estimate.json --targets points.csv --out compensated
@@ -58,51 +59,54 @@ panel.toml, and box.toml:
   points = [3, 5, 5]
   axis = [1, 0, 0]
 
-Exit code 3 where something must be looked at: points out of reach, jumps, speeds exceeded, less
-certainty than --trust-mm, an estimate that is not sound, an interruption. Points outside the commands
-that were measured are told as extrapolated. Files and keys: docs/formats.md.")]
+Exit code 3 if something must be looked at: points out of reach, jumps, speeds exceeded, less
+certainty than --trust-mm, a doubtful estimate, an interruption. Points outside the measured commands
+are reported as extrapolated. Files and keys: docs/formats.md.")]
 pub(super) struct Args {
-    /// The estimate: an estimate.json (export calibrated), or a recording, whose measurements are identified again
+    /// The estimate: an estimate.json (of `export calibrated`), or a recording, whose measurements are identified again
     #[arg(long, value_name = "ESTIMATE.json|RECORDING.mcap")]
     estimate: PathBuf,
-    /// Which estimate of a recording [default: the fullest one that was recorded]
+    /// Which estimate of a recording, such as with_gravity [default: the fullest one recorded]
     #[arg(long, value_name = "MODE", value_parser = fitted_mode)]
     mode: Option<Mode>,
-    /// The nominal robot's file, whose hash must be that of the estimate's; its URDF states how fast joints may be
+    /// The nominal robot's file, the one that the estimate was made with (checked by its hash); its URDF states the
+    /// speed limits of the joints
     #[arg(long, value_name = "ROBOT.toml")]
     model: Option<PathBuf>,
     /// Where the tool should be: a table of points (.csv, .xlsx), or a raster over a panel (.toml)
     #[arg(long, value_name = "FILE", required_unless_present = "grid")]
     targets: Option<PathBuf>,
-    /// A box over which offsets are wanted, for controllers that take no more: [grid] of a .toml
+    /// A box where offsets are wanted, for controllers that accept only offsets: [grid] of a .toml
     #[arg(long, value_name = "FILE.toml")]
     grid: Option<PathBuf>,
     /// Which target of the estimate is the tool [default: the first]
     #[arg(long, value_name = "NAME", conflicts_with = "tool_mm")]
     tool: Option<String>,
-    /// The tool's point in the flange frame, in place of a target; its axes are the flange's
+    /// The tool's point in the flange frame, mm, such as 0,0,120, instead of a target; its axes are the flange's
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = lengths)]
     tool_mm: Option<Numbers>,
     /// The axis of the tool that goals direct, in the tool's own axes [default: 0,0,1]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = numbers)]
     tool_axis: Option<Numbers>,
-    /// What decides between commands for the same goal: motion (from the start, along a path from the point before), deflection, limits (far from them), manipulability, several with weights
-    /// (deflection,limits=0.1), or none
+    /// How to choose between commands for the same goal: motion (from the start, along a path from the point before), deflection, limits (far from
+    /// them), manipulability, several with weights (deflection,limits=0.1), or none
     #[arg(long, value_name = "CRITERION", value_parser = criterion, default_value = "motion")]
     criterion: Criterion,
-    /// Command from which the robot comes: mm of slides and deg of turns, one an actuator [default: the middle of the commands that were measured]
+    /// Command from which the robot comes: one number per actuator, mm of slides and deg of turns, such as 0,-90,90,0,90,0 [default: the middle of
+    /// the measured commands]
     #[arg(long, value_name = "MM|DEG,...", allow_hyphen_values = true, value_parser = numbers)]
     start: Option<Numbers>,
-    /// Sign of every actuator's last motion to single points, or to the first of a path: -1, 0 (unknown) or 1
+    /// Sign of every actuator's last motion to single points, or to the first point of a path: -1, 0 (unknown) or 1
     #[arg(long, value_name = "SIGN,...", allow_hyphen_values = true, value_parser = signs)]
     approach: Option<Signs>,
-    /// Speed of the tool's point: makes a path of a table without times
+    /// Speed of the tool's point, mm/s; makes a path of a table without times
     #[arg(long, value_name = "MM/S", value_parser = positive)]
     speed_mm_per_s: Option<f64>,
-    /// How fast actuators may be, mm/s and deg/s, inf without a limit; one an actuator [default: as the robot's URDF says]
+    /// Speed limits of the actuators, mm/s and deg/s, one per actuator, inf for no limit [default: those of the robot's
+    /// URDF]
     #[arg(long, value_name = "MM/S|DEG/S,...", value_parser = numbers)]
     speed_limits: Option<Numbers>,
-    /// The farthest that a joint may move from one point of a path to the next, m or rad
+    /// Largest step of a joint from one point of a path to the next, m or rad
     #[arg(long, value_name = "M|RAD", value_parser = positive, default_value_t = 0.1)]
     longest_step: f64,
     /// Name of a [[payload]] of --session that the flange carries [default: its only one]
@@ -111,25 +115,25 @@ pub(super) struct Args {
     /// A session file, for the payload that the flange carries
     #[arg(long, value_name = "SESSION.toml", conflicts_with = "payload_kg")]
     session: Option<PathBuf>,
-    /// Mass that the flange carries beside what it always does
+    /// Mass that the flange carries in addition to its permanent loads, kg
     #[arg(long, value_name = "KG", value_parser = positive, requires = "payload_centre_mm")]
     payload_kg: Option<f64>,
-    /// Its centre in the flange frame
+    /// Its centre of mass in the flange frame, mm, such as 0,0,150
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = lengths, requires = "payload_kg")]
     payload_centre_mm: Option<Numbers>,
-    /// Of the air at the robot, °C
+    /// Air temperature at the robot, °C
     #[arg(long, value_name = "C", allow_hyphen_values = true)]
     temperature_c: Option<f64>,
-    /// Time since the session began at which terms of time are taken, s; of a path at its time zero
+    /// Time since the session began, for terms that depend on time, s; for a path, at its time zero
     #[arg(long, value_name = "S", default_value_t = 0.0)]
     time_s: f64,
-    /// What may be left on the model
+    /// Largest remaining error on the model, um
     #[arg(long, value_name = "UM", value_parser = length, default_value_t = 0.001)]
     tolerance_um: f64,
-    /// Standard deviation in space up to which corrected points are to be trusted; others are marked
+    /// Standard deviation in space, mm, up to which corrected points are trusted; others are marked
     #[arg(long, value_name = "MM", value_parser = positive)]
     trust_mm: Option<f64>,
-    /// Folder for compensated.csv, commands.csv, compensation.json, compensation.html and grid.csv, which are written over [default: no files]
+    /// Folder for compensated.csv, commands.csv, compensation.json, compensation.html and grid.csv, which are overwritten [default: no files]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Print as JSON (schema calibrig.compensation/1) instead of the tables
@@ -150,7 +154,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     if let Some(destination) = destination {
         destination.check(Files::Compensation)?;
     }
-    // What is cheap to refuse, before a recording is identified again.
+    // Cheap checks, before a recording is identified again.
     let goals = read_goals(args.targets.as_deref(), args.grid.as_deref(), args.speed_mm_per_s)?;
     goals.remarks.iter().for_each(|remark| say(remark));
     let asked = Asked { input: &args.estimate, mode: args.mode, model: args.model.as_deref() };
@@ -169,7 +173,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
         report::render_compensation(&made, style)
     })?;
     written?;
-    // The first ones are those of the estimate.
+    // The first ones are the estimate's own.
     let said = if found.is_said { found.estimate.estimate.reasons().count() } else { 0 };
     made.doubts.iter().skip(said).for_each(|doubt| say(&format!("doubtful: {doubt}")));
     if args.json {
@@ -183,7 +187,7 @@ fn write(made: &Compensation, folder: &Path) -> Result<(), CliError> {
     say(&format!("wrote {} to {}", written.join(", "), folder.display()));
     let stale = Files::Compensation.names().iter().filter(|name| !written.contains(*name));
     for name in stale.filter(|name| folder.join(name).exists()) {
-        say(&format!("{name} in {} is an older one", folder.display()));
+        say(&format!("{name} in {} is an older file, not of this run", folder.display()));
     }
     Ok(())
 }
@@ -199,7 +203,7 @@ fn plan(args: &Args, goals: &Goals, found: &Found) -> Result<CompensationPlan, C
     let reference = Some(start.unwrap_or_else(middle));
     let speed_limits = match &args.speed_limits {
         Some(stated) => speeds(stated, model)?,
-        // Single points take no time.
+        // Single points have no times.
         None if matches!(goals.way, Way::Points(_)) => Vec::new(),
         None => {
             let stated = found.robot.as_ref().map(actuator_speeds).unwrap_or_default();
@@ -226,21 +230,21 @@ fn plan(args: &Args, goals: &Goals, found: &Found) -> Result<CompensationPlan, C
     })
 }
 
-/// Where a refusal comes from: the row of a goal where it is of one.
+/// Where an error comes from: the row of the goal, if it concerns one.
 fn refused(args: &Args, goals: &Goals, error: CompensationError) -> CliError {
     let file = args.targets.as_ref().or(args.grid.as_ref()).unwrap_or(&args.estimate).clone();
     let help = match &error {
         CompensationError::Inverse(InverseError::NoStatics) => {
             "expected --criterion limits, manipulability, motion or none; or a robot's file with masses and stiffnesses"
         }
-        CompensationError::Path(PathError::Limit { .. }) => "expected speeds above zero, inf without a limit",
+        CompensationError::Path(PathError::Limit { .. }) => "expected speeds above zero, inf for no limit",
         CompensationError::Grid(_) => return goals.refuse_grid(error),
-        _ => "expected goals and options that the robot can be asked for",
+        _ => "expected goals and options that suit this robot",
     };
     CliError::Compensation { file, source: Box::new(error), help }
 }
 
-/// Shows how far it is where it takes longer than two seconds; the first Ctrl-C asks it to stop.
+/// Shows the progress if it takes longer than two seconds; the first Ctrl-C asks it to stop.
 fn with_bar<T>(work: impl FnOnce(&mut dyn FnMut(&'static str, usize, usize) -> ControlFlow<()>) -> T) -> T {
     let stop = stop_on_interrupt("the correction");
     let bar = ProgressBar::hidden();
@@ -260,7 +264,7 @@ fn with_bar<T>(work: impl FnOnce(&mut dyn FnMut(&'static str, usize, usize) -> C
         }
         if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
-    // From here on there is nothing to stop: the next one ends the process.
+    // From here on there is nothing to stop: the next Ctrl-C ends the process.
     stop.store(true, Ordering::Relaxed);
     bar.finish_and_clear();
     made

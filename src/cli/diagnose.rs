@@ -15,19 +15,19 @@ use calibrig_estimation::diagnosis::{
 use calibrig_estimation::identification::Mode;
 use calibrig_model::measurement::Reading;
 
-/// Say what would make measurements fit a robot: wrong units, signs, zeros, orders, axes, and rows that are to blame
+/// Find out what would make measurements fit a robot: wrong units, signs, zeros, orders, axes, and bad rows
 ///
-/// The nominal robot is laid over the points by the tracker's place and the target's offset, as the files are read and as they could be meant
-/// otherwise: every convention alone and every two together. Each is told with the RMS that it leaves, how likely it is against all others,
-/// and what applies it. What explains any points of the session equally well is of one class. Orientations of full poses
-/// weigh in none of it: whether they turn as the robot does, or the other way around, is told by itself.
+/// The nominal robot is fitted to the points by the tracker's place and the target's offset, with the files as they are read and as they
+/// could be meant otherwise: every convention alone and every two together. Each is listed with the RMS that it leaves, its likelihood
+/// against all others, and how to apply it. Readings that fit any points of the session equally well form one class. Orientations of full
+/// poses are not used for this: whether they turn as the robot does, or the other way round, is reported separately.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   calibrig diagnose --model robot.toml --measurements m.csv
   calibrig diagnose --model robot.toml --measurements m.txt --columns map.toml --json
   calibrig diagnose --model models/ur5/robot.toml --measurements grid.csv --verify random.csv
 
-Exit code 0 if the robot lies on the points as they were read, 3 if something was found, 1 if there is no result.")]
+Exit code 0 if the robot fits the points as they were read, 3 if something was found, 1 if there is no result.")]
 pub(super) struct Args {
     #[command(flatten)]
     files: FileArgs,
@@ -36,7 +36,7 @@ pub(super) struct Args {
     json: bool,
 }
 
-/// A set, and what was found of it.
+/// A set, and what was found in it.
 struct Diagnosed {
     kind: SetKind,
     names: Names,
@@ -77,7 +77,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     };
     let is_sound = diagnosed.iter().all(|set| set.found.finding() == Finding::Sound && turns_well(set));
     if !is_sound {
-        say("doubtful: the session is not as the robot's files say");
+        say("doubtful: the measurements do not fit the robot's files as they were read");
     }
     Ok(if is_sound { Verdict::Done } else { Verdict::Doubtful })
 }
@@ -90,7 +90,7 @@ fn finding(found: &Diagnosis) -> &'static str {
     }
 }
 
-/// Whether there are fewer poses than anything can be told of.
+/// Whether there are too few poses for any conclusion.
 fn is_too_little(found: &Diagnosis) -> bool {
     found.undetermined.iter().any(|what| matches!(what, Undetermined::FewPoses { .. }))
 }
@@ -123,17 +123,17 @@ fn write_text(name: &str, set: &Diagnosed, text: &mut String) -> std::fmt::Resul
         Finding::Sound if is_too_little(found) => {
             writeln!(
                 text,
-                "Nothing speaks against the files as they were read, but they tell too little of the robot."
+                "Nothing contradicts the files as they were read, but they say too little about the robot."
             )?;
         }
-        Finding::Sound => writeln!(text, "Sound: the robot lies on the points as they were read.")?,
+        Finding::Sound => writeln!(text, "Sound: the robot fits the points as they were read.")?,
         Finding::Explained => {
             let first = &found.hypotheses[0];
             writeln!(text, "Found: {}.", names.says(first))?;
             writeln!(text, "Remedy: {}.", names.remedies(first))?;
         }
         Finding::Unexplained => {
-            writeln!(text, "The robot does not lie on the points, and nothing that was tried explains why.")?;
+            writeln!(text, "The robot does not fit the points, and nothing that was tried explains why.")?;
         }
     }
     for other in Names::as_good(found).filter(|other| !other.parts.is_empty()) {
@@ -162,15 +162,16 @@ fn write_text(name: &str, set: &Diagnosed, text: &mut String) -> std::fmt::Resul
     writeln!(text)
 }
 
-/// What is said of the orientations of full poses.
+/// What is said about the orientations of full poses.
 fn orientation_words(set: &Diagnosed) -> Option<String> {
-    const UNUSED: &str = "the hypotheses above are weighed by positions alone";
+    const UNUSED: &str = "the hypotheses above are weighed by positions only";
     if set.poses == 0 {
         return None;
     }
     let Some(found) = &set.orientations else {
         return Some(format!(
-            "Orientations of {} full poses are too few, or turn about one axis alone, to be told from others; {UNUSED}.",
+            "Orientations of {} full poses are too few, or turn about only one axis, so their convention cannot be checked; \
+             {UNUSED}.",
             set.poses
         ));
     };
@@ -182,8 +183,9 @@ fn orientation_words(set: &Diagnosed) -> Option<String> {
             found.readings
         ),
         OrientationFinding::Inverted => format!(
-            "Orientations of {} full poses turn the other way around: within {inverted} if inverted, {as_read} as read. Remedy: the other transform in [rotation] \
-             of the column map (\"tracker_in_target\" for \"target_in_tracker\", or back), or of Euler angles the sequence from its other end. {UNUSED}.",
+            "Orientations of {} full poses turn the other way round: within {inverted} if inverted, {as_read} as read. \
+             Remedy: the other transform in [rotation] of the column map (\"tracker_in_target\" for \"target_in_tracker\", or \
+             back), or for Euler angles the reversed sequence. {UNUSED}.",
             found.readings
         ),
         OrientationFinding::Otherwise => format!(
@@ -233,7 +235,7 @@ fn of_set(set: &Diagnosed) -> Value {
         "undetermined": found.undetermined.iter().map(|what| names.undetermined(what)).collect::<Vec<_>>(),
         "beyond_limits": beyond,
         "orientations": json_orientations(set),
-        "not_tried": { "inverse_rotation": "hypotheses are weighed by places; orientations are told by themselves" },
+        "not_tried": { "inverse_rotation": "hypotheses are weighed by positions; orientations are reported separately" },
     })
 }
 

@@ -1,4 +1,4 @@
-//! An estimate of a command's argument: an `estimate.json`, or a recording that is identified again.
+//! An estimate given as a command's argument: an `estimate.json`, or a recording that is identified again.
 
 use std::fs::File;
 use std::io::Read;
@@ -12,30 +12,30 @@ use crate::replay::{ReplayOptions, Replayed, replay as identify_again};
 use calibrig_estimation::identification::Mode;
 use calibrig_files::{InputError, Robot, Source, load_robot, parse_robot};
 
-/// What a command is given.
+/// What the argument names.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Asked<'a> {
     /// A recording, or an estimate.json.
     pub input: &'a Path,
-    /// Which estimate; the fullest one where it is not said.
+    /// Which estimate; the fullest one if not given.
     pub mode: Option<Mode>,
     /// The nominal robot's file.
     pub model: Option<&'a Path>,
 }
 
-/// An estimate with what is at hand of its robot.
+/// An estimate, with what is available of its robot.
 #[derive(Debug)]
 pub(super) struct Found {
     pub estimate: EstimateFile,
-    /// The nominal robot, where its files are at hand.
+    /// The nominal robot, if its files are available.
     pub robot: Option<Robot>,
     /// How the identification of a recording ended.
     pub ended: Verdict,
-    /// Whether it was identified again, and its doubts are said.
+    /// Whether it was identified again, and its doubts were reported.
     pub is_said: bool,
 }
 
-/// Finds an estimate; of a recording the measurements are identified again, and what is to be looked at is said.
+/// Finds an estimate; measurements of a recording are identified again, and doubts are reported.
 pub(super) fn find(asked: Asked<'_>) -> Result<Found, CliError> {
     let model = asked.model.map(load_robot).transpose()?;
     if is_recording(asked.input)? { from_recording(asked, model) } else { from_estimate(asked, model) }
@@ -92,11 +92,12 @@ fn from_recording(asked: Asked<'_>, model: Option<Robot>) -> Result<Found, CliEr
         let places = differences.len();
         match made_by_another {
             Some(made_by) => say(&format!(
-                "the recorded estimates were made by {made_by}; what is written is this version's"
+                "the recorded estimates were made by {made_by}; the files are written from those of this version"
             )),
             None => {
                 say(&format!(
-                    "doubtful: what was identified again differs from what is recorded in {places} places (calibrig replay tells them)"
+                    "doubtful: what was identified again differs from the recording in {places} places (calibrig replay lists \
+                     them)"
                 ));
                 ended = Verdict::Doubtful;
             }
@@ -111,7 +112,7 @@ fn from_recording(asked: Asked<'_>, model: Option<Robot>) -> Result<Found, CliEr
     Ok(Found { estimate, robot, ended, is_said: true })
 }
 
-/// The robot by the files that the recording holds.
+/// The robot from the files that the recording holds.
 fn recorded_robot(outcome: &Outcome) -> Result<Option<Robot>, InputError> {
     let source = |role: &str| {
         let found = outcome.sources.iter().find(|(known, _)| known == role);

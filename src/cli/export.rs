@@ -33,12 +33,12 @@ enum Direction {
 
 /// Turn a recording into measurement files, tables and the input files that it holds
 ///
-/// identification.csv and verification.csv are in calibrig's own columns, session.toml holds what these have no columns for: nests, targets,
-/// dropped poses. No bit of a measurement is lost. residuals.csv and parameters.csv tell what was recorded of the estimates.
+/// identification.csv and verification.csv are in calibrig's own columns; session.toml holds what these have no columns for: nests, targets,
+/// dropped poses. No bit of a measurement is lost. residuals.csv and parameters.csv hold the recorded estimates.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   calibrig export csv runs/paper/recording.mcap --out tables
-  calibrig export csv by_hand.mcap --model robot.toml --out tables    where it holds no robot
+  calibrig export csv by_hand.mcap --model robot.toml --out tables    if it holds no robot
   calibrig identify --model tables/robot.toml --measurements tables/identification.csv")]
 struct CsvArgs {
     /// The recording
@@ -46,10 +46,10 @@ struct CsvArgs {
     /// Folder for the files
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// The robot's file, where the recording holds none
+    /// The robot's file, if the recording holds none
     #[arg(long, value_name = "ROBOT.toml")]
     model: Option<PathBuf>,
-    /// Write over files that are there
+    /// Overwrite existing files
     #[arg(long)]
     force: bool,
 }
@@ -61,14 +61,14 @@ struct CsvArgs {
   calibrig export mcap --model r.toml --measurements m.csv --session s.toml --out m.mcap
   calibrig replay grid.mcap
 
-What the columns of the files mean is told as for `calibrig identify`.")]
+The columns of the files are described as for `calibrig identify`.")]
 struct McapArgs {
     #[command(flatten)]
     files: FileArgs,
     /// The recording
     #[arg(long, value_name = "RECORDING.mcap")]
     out: PathBuf,
-    /// Write over a file that is there
+    /// Overwrite an existing file
     #[arg(long)]
     force: bool,
 }
@@ -98,7 +98,7 @@ fn to_csv(args: &CsvArgs) -> Result<Verdict, CliError> {
         say(remark);
     }
     for name in stale {
-        say(&format!("{name} in {} is an older one", folder.display()));
+        say(&format!("{name} in {} is an older file, not of this run", folder.display()));
     }
     Ok(Verdict::Done)
 }
@@ -106,7 +106,8 @@ fn to_csv(args: &CsvArgs) -> Result<Verdict, CliError> {
 /// Files by their names, with their texts.
 type Texts<'a> = [(&'a str, &'a str)];
 
-/// Refuses to write over files unless `force`d. Tables that this export does not have must not be taken for its own: their names.
+/// Refuses to overwrite files unless `force`d. Older tables that this export does not write could be mistaken for its own:
+/// returns their names.
 fn check_free(
     folder: &Path,
     kind: Files,
@@ -124,7 +125,7 @@ fn check_free(
             folder: folder.to_path_buf(),
             at: at.clone(),
             what: "a folder",
-            expected: "no folder of that name: a file takes it",
+            expected: "the name of a folder; a file has this name",
         });
     }
     if paths.is_empty() || force { Ok(stale) } else { Err(CliError::AlreadyThere { paths }) }
@@ -155,7 +156,7 @@ fn to_mcap(args: &McapArgs) -> Result<Verdict, CliError> {
     for line in &read {
         say(line);
     }
-    // The files themselves, in place of their names.
+    // The files themselves, instead of their names.
     let (texts, left_out) = texts(&asked);
     let session = sources.iter().position(|(role, _)| role == "session").map(|at| sources.remove(at));
     sources.retain(|(_, source)| !source.text.is_empty());
@@ -188,14 +189,14 @@ fn to_mcap(args: &McapArgs) -> Result<Verdict, CliError> {
     Ok(Verdict::Done)
 }
 
-/// Refuses a name that a recording cannot take.
+/// Refuses a name that a recording cannot have.
 fn check_name(path: &Path, force: bool) -> Result<(), CliError> {
     let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let refused = |at: &Path, what, expected| {
         Err(CliError::InTheWay { folder: parent.to_path_buf(), at: at.to_path_buf(), what, expected })
     };
     if !parent.is_dir() {
-        return refused(parent, "no folder", "a folder that is there");
+        return refused(parent, "no folder", "an existing folder");
     }
     if path.is_dir() {
         return refused(path, "a folder", "the name of a file");

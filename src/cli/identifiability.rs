@@ -23,9 +23,10 @@ use calibrig_estimation::identification::{
 use calibrig_model::random::{Source, stream};
 use calibrig_model::{CalibrationModel, KinematicModel, ModelError, ParameterId};
 
-/// Say which parameters position measurements can tell: rank, dependent groups, weak directions, and what would help
+/// Say which parameters position measurements can determine: rank, dependent groups, weak directions, and what would
+/// help
 ///
-/// The nominal robot alone is looked at; nothing is measured.
+/// Only the nominal robot is used; no measurements are needed.
 #[derive(Debug, clap::Args)]
 #[command(group(ArgGroup::new("subject").required(true).args(["scenario", "model", "urdf"])), after_help = "Examples:
   calibrig identifiability scenarios/paper.toml            at the scenario's poses and target
@@ -34,8 +35,8 @@ use calibrig_model::{CalibrationModel, KinematicModel, ModelError, ParameterId};
   calibrig identifiability scenarios/paper.toml --mode extended --terms linkage,ratio
   calibrig identifiability scenarios/matched.toml --sensors          one SMR, three, or full poses
 
-With --mode elasto_geometric or extended, all that such a fit has is looked at together: links, tracker frame, target,
-compliances, masses and terms, as the scenario's [identification] says, at the nominal robot's equilibrium.")]
+With --mode elasto_geometric or extended, all parameters of such a fit are analysed together: links, tracker frame, target,
+compliances, masses and terms, as the scenario's [identification] states, at the nominal robot's equilibrium.")]
 pub(super) struct Args {
     /// The scenario file
     scenario: Option<PathBuf>,
@@ -47,16 +48,18 @@ pub(super) struct Args {
     urdf: Option<PathBuf>,
     #[command(flatten)]
     chain: ChainArgs,
-    /// Which parameters: of the rigid chain, or of a mode that couples geometry and stiffness
+    /// Which parameters: those of the rigid chain, or those of a mode that couples geometry and stiffness
     #[arg(long, value_enum, default_value_t = Analysed::Geometry)]
     mode: Analysed,
-    /// Compliances of the coupled modes: drives, all, or names [default: as the scenario says, else drives]
+    /// Compliances of the coupled modes: drives, all, or names such as compliance_drive2 [default: as the scenario
+    /// states, else drives]
     #[arg(long, value_name = "WHICH,..", value_delimiter = ',')]
     compliances: Option<Vec<String>>,
-    /// Terms of the mode `extended`, by family; "none" for none [default: as the scenario says, else all that the robot can have]
+    /// Terms of the mode `extended`, by family, such as linkage,ratio; "none" for none [default: as the scenario states, else all
+    /// that the robot can have]
     #[arg(long, value_name = "FAMILY,..", value_delimiter = ',', value_parser = family)]
     terms: Option<Vec<String>>,
-    /// Compare what the target can be: one SMR, three, the pose that these make, and the scenario's probe, by a simulated session
+    /// Compare targets in a simulated session: one SMR, three, the pose that these make, and the scenario's probe
     #[arg(long)]
     sensors: bool,
     /// Print as JSON
@@ -67,7 +70,7 @@ pub(super) struct Args {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 #[value(rename_all = "snake_case")]
 enum Analysed {
-    /// Links, and frame and target where they are free
+    /// Links, with frame and target if they are free
     Geometry,
     /// Geometry and stiffness together
     ElastoGeometric,
@@ -75,10 +78,10 @@ enum Analysed {
     Extended,
 }
 
-/// Poses where no scenario says which.
+/// Poses, if no scenario states them.
 const SPREAD_POSES: usize = 200;
 
-/// A target that is not known yet is looked at off every axis, where it can be mounted, m.
+/// A target that is not known yet is assumed off every axis, where it can be mounted, m.
 const MOUNTABLE_TARGET: Vector3<f64> = Vector3::new(0.1, 0.15, 0.2);
 
 fn spread_poses() -> String {
@@ -102,7 +105,7 @@ struct Question {
 
 pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     let refuse = |flag: &str, expected: &str| {
-        let message = format!("{flag}: expected {expected} beside it");
+        let message = format!("{flag}: expected {expected} with it");
         Cli::command().error(ErrorKind::ArgumentConflict, message).exit()
     };
     if args.sensors && args.scenario.is_none() {
@@ -175,7 +178,8 @@ fn question(args: &Args) -> Result<Question, CliError> {
     let scenario = read_scenario(path)?;
     if scenario.probe.is_some() {
         say(
-            "the scenario's probe measures orientations, too, and this is of positions alone: --sensors and --mode look at full poses",
+            "the scenario's probe also measures orientations, but this analysis uses positions only: --sensors and --mode use \
+             full poses",
         );
     }
     let mut rng = stream(scenario.seed, 0, Source::IdentificationPoses);
@@ -198,7 +202,7 @@ fn question(args: &Args) -> Result<Question, CliError> {
     })
 }
 
-/// Candidate sets by name with their number of columns, rank and condition at the question's poses.
+/// Candidate sets by name, with number of columns, rank and condition at the poses in question.
 struct CandidateSet {
     name: &'static str,
     columns: usize,

@@ -29,13 +29,13 @@ use calibrig_files::{add_followers, commanded_joints};
 use calibrig_model::measurement::{MeasurementSet, Observation, SetKind};
 use calibrig_model::{BodyUncertainty, CalibrationModel, FAMILIES, JointKind, ParameterId, Unit};
 
-/// Calibrate a robot from measured positions in a file, and verify on another file
+/// Calibrate a robot from measured positions in a file, and verify it on another file
 ///
-/// A file of positions says nothing of the tracker's place and of the target's offset on the flange: both are identified with the links,
-/// unless a session file (--session) states base nests and measured offsets, or the robot's file the offset of its [target]. What has an
-/// uncertainty is a prior, an offset without one is where the search starts; what was assumed is told. The parameters are a
-/// complete independent set, chosen by rank from the robot's table. A prior of the robot's making tolerance holds the directions that the
-/// measurements hardly show; rank and weak directions are reported without it.
+/// A file of positions says nothing about the tracker's place and the target's offset on the flange: both are identified together with
+/// the links, unless a session file (--session) states base nests and measured offsets, or the robot's file states the offset of its
+/// [target]. Values with an uncertainty are priors; an offset without one is a starting value. All assumptions are reported. The
+/// parameters are a complete independent set, chosen by rank from the robot's table. A prior from the robot's manufacturing tolerance
+/// holds the directions that the measurements hardly show; rank and weak directions are reported without it.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   calibrig identify --model models/ur5/robot.toml --measurements grid.csv --verify random.csv
@@ -55,71 +55,73 @@ use calibrig_model::{BodyUncertainty, CalibrationModel, FAMILIES, JointKind, Par
   calibrig identify --model robot.toml --measurements m.csv --sweeps rail.csv --sweeps waist.csv
   calibrig identify --urdf ur5.urdf --tip tool0 --measurements grid.csv --columns map.toml
 
-What the columns of the file mean is told by --columns MAP.toml, else by the map that the robot's file names, else (and where the file
-has none of the map's joint columns but calibrig's own) it is calibrig's own layout (see docs/formats.md).")]
+The columns are described by --columns MAP.toml, else by the map that the robot's file names, else (and if the file
+has calibrig's own joint columns and none of the map's) they have calibrig's own layout (see docs/formats.md).")]
 pub(super) struct Args {
     #[command(flatten)]
     files: FileArgs,
     #[command(flatten)]
     named: ByNameArgs,
-    /// Which models are fitted, beside the robot without calibration; may be repeated [default: geometry alone, and where the robot's files
-    /// give masses and stiffnesses, gravity; geometry and stiffness instead where the stiffnesses are known to 100 % or worse]
+    /// Models to fit, besides the robot without calibration; may be repeated [default: only geometry and, if the robot's files give masses
+    /// and stiffnesses, gravity; geometry and stiffness instead if the stiffnesses are known to 100 % or worse]
     #[arg(long, value_name = "MODE", value_parser = fitted_mode)]
     mode: Vec<Mode>,
-    /// Terms of the mode `extended`, by family; "none" for none [default: all that the robot can have]
+    /// Terms of the mode `extended`, by family, such as rail,ratio; "none" for none [default: all that the robot can
+    /// have]
     #[arg(long, value_name = "FAMILY,..", value_delimiter = ',', value_parser = family)]
     terms: Option<Vec<String>>,
-    /// Compliances of the modes `elasto_geometric` and `extended`: drives, all, or names
+    /// Compliances of the modes `elasto_geometric` and `extended`: drives, all, or names such as compliance_drive2
     #[arg(long, value_name = "WHICH,..", value_delimiter = ',', default_value = "drives")]
     compliances: Vec<String>,
-    /// Limits of a parameter's deviation, in mm, mrad or (compliances, masses) without unit; an end may be left open, as in
-    /// `compliance_drive2=0..`. May be repeated
+    /// Limits of a parameter's deviation, in mm, mrad or (compliances, masses) without unit; one end may be open. May be
+    /// repeated. Examples: delta_a4=-5mm..5mm, compliance_drive2=0..
     #[arg(long, value_name = "NAME=MIN..MAX", value_parser = bound)]
     bound: Vec<ParameterBound>,
-    /// What the machine does beside its model, pose by pose: estimated where the residuals call for it, always, or as stated with --actuator-sigma
-    /// (without it: nothing)
+    /// Random errors of the machine from pose to pose: estimated if the residuals call for it, always estimated, or as stated with
+    /// --actuator-sigma (without it: none)
     #[arg(long, value_enum, default_value_t = MachineNoiseArg::AsNeeded)]
     machine_noise: MachineNoiseArg,
     /// Standard deviation of an actuator, in mm or mrad, such as waist=0.05mrad; with --machine-noise stated. May be repeated
     #[arg(long, value_name = "NAME=VALUE")]
     actuator_sigma: Vec<String>,
-    /// What a measurement far off the others costs: its square, or less
+    /// Loss of a measurement far from the others: its square, or less
     #[arg(long, value_enum, default_value_t = LossArg::Squared)]
     loss: LossArg,
-    /// How well the compliances are known beforehand: standard deviation of a prior, per cent of the predicted value; "unknown" for a prior on
-    /// their logarithms, a factor of 100 wide [default: as the robot's file says, else 10]
+    /// Prior knowledge of the compliances: standard deviation in per cent of the predicted value, such as 20; "unknown" for a prior on their
+    /// logarithms, a factor of 100 wide [default: as the robot's file states, else 10]
     #[arg(long, value_name = "PERCENT", value_parser = compliance_percent)]
     compliance_percent: Option<CompliancePercent>,
-    /// How well the masses of the links are known beforehand: standard deviation of a prior, per cent of each; 0 for exactly [default: as the
-    /// robot's file says, else exactly]
+    /// Prior knowledge of the links' masses: standard deviation in per cent of each; 0 for exact [default: as the robot's file states, else
+    /// exact]
     #[arg(long, value_name = "PERCENT", value_parser = not_negative)]
     mass_percent: Option<f64>,
-    /// How well their centres of mass are known beforehand: standard deviation of a prior along each axis, mm; 0 for exactly [default: as the
-    /// robot's file says, else exactly]
+    /// Prior knowledge of their centres of mass: standard deviation along each axis, mm; 0 for exact [default: as the robot's file states,
+    /// else exact]
     #[arg(long, value_name = "MM", value_parser = not_negative)]
     centre_mm: Option<f64>,
-    /// How well the links' lengths are known beforehand: standard deviation of a prior, mm; 0 in both for none
+    /// Prior knowledge of the links' lengths: standard deviation, mm; 0 for no prior, then with --tolerance-mrad 0
     #[arg(long, value_name = "MM", default_value_t = 1e3 * DEFAULT_TOLERANCE.length, allow_negative_numbers = true, value_parser = tolerance_value)]
     tolerance_mm: f64,
-    /// How well the links' angles are known beforehand: standard deviation of a prior, mrad; 0 in both for none
+    /// Prior knowledge of the links' angles: standard deviation, mrad; 0 for no prior, then with --tolerance-mm 0
     #[arg(long, value_name = "MRAD", default_value_t = 1e3 * DEFAULT_TOLERANCE.angle, allow_negative_numbers = true, value_parser = tolerance_value)]
     tolerance_mrad: f64,
-    /// Most iterations of a fit, refused steps included
+    /// Largest number of iterations of a fit, including rejected steps
     #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     max_iterations: u32,
-    /// Split the measurements at random this many times, fit a part and verify on the rest, and compare every mode with the one before
+    /// Split the measurements at random this many times, fit one part and verify on the rest, and compare every mode with the one
+    /// before
     #[arg(long, value_name = "N", requires = "fit", value_parser = clap::value_parser!(u32).range(2..=100_000))]
     splits: Option<u32>,
     /// Poses that are fitted in each split
     #[arg(long, value_name = "POSES", requires = "splits", value_parser = clap::value_parser!(u32).range(1..))]
     fit: Option<u32>,
-    /// Seed of the splits' draws
+    /// Seed of the random splits
     #[arg(long, value_name = "N", requires = "splits", default_value_t = 1)]
     seed: u64,
-    /// Fit although the nominal robot does not lie on the points; ends with exit code 3
+    /// Fit even if the nominal robot does not fit the points; ends with exit code 3
     #[arg(long)]
     fit_anyway: bool,
-    /// Folder for report.html, report.json and residuals.csv, which are written over [default: no files]
+    /// Folder for report.html, report.json and residuals.csv, which are overwritten [default: no files]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Print the report as JSON (schema calibrig.report/1) instead of the tables
@@ -127,7 +129,7 @@ pub(super) struct Args {
     json: bool,
 }
 
-/// A robot, what was measured of it, and what is stated beforehand.
+/// A robot, its measurements, and what is stated beforehand.
 #[derive(Debug, clap::Args)]
 pub(super) struct FileArgs {
     /// The robot's file
@@ -138,26 +140,26 @@ pub(super) struct FileArgs {
     urdf: Option<PathBuf>,
     #[command(flatten)]
     chain: ChainArgs,
-    /// Positions to fit; may be repeated, as for one file a target
+    /// Positions to fit; may be repeated, for example with one file per target
     #[arg(long, value_name = "[TARGET=]FILE", required = true)]
     measurements: Vec<String>,
     /// Positions to verify on; may be repeated
     #[arg(long, value_name = "[TARGET=]FILE")]
     verify: Vec<String>,
-    /// As --joints, for the files of --verify
+    /// Like --joints, for the files of --verify
     #[arg(long, value_name = "FILE", requires = "verify")]
     verify_joints: Option<PathBuf>,
     #[command(flatten)]
     rows: RowArgs,
-    /// Column map of the files, instead of the one that the robot's file names
+    /// Column map of the files, instead of the one named in the robot's file
     #[arg(long, value_name = "MAP.toml")]
     columns: Option<PathBuf>,
-    /// Stations with their nests, targets with their uncertainty, what all poses carry, and dropped poses (docs/formats.md); its targets hold in place of the
-    /// robot's file's [default: stations of unknown place, and [target] of the robot's file]
+    /// Session file: stations with their nests, targets with their uncertainty, what all poses carry, and dropped poses (docs/formats.md); its
+    /// targets replace that of the robot's file [default: stations of unknown place, and [target] of the robot's file]
     #[arg(long, value_name = "SESSION.toml")]
     session: Option<PathBuf>,
-    /// Readings while single joints moved and all others rested, by which the tracker is placed where there are no base nests, or with --frame
-    /// sweeps; laid out as the measurements. May be repeated
+    /// Readings taken while single joints moved and all others rested; they place the tracker if there are no base nests, or with --frame
+    /// sweeps. Same layout as the measurements. May be repeated
     #[arg(long, value_name = "FILE")]
     sweeps: Vec<String>,
     #[command(flatten)]
@@ -185,7 +187,7 @@ impl FileArgs {
 }
 
 impl FileArgs {
-    /// Gives the stations of all sets the readings of the files of sweeps.
+    /// Adds the readings of the files of sweeps to the stations of all sets.
     fn add_sweeps(&self, loaded: &mut Loaded) -> Result<(), CliError> {
         if self.sweeps.is_empty() {
             return Ok(());
@@ -215,8 +217,9 @@ impl FileArgs {
                 let (Some(at), Some(of)) = (at, of) else {
                     return Err(InputError::Place {
                         place: places.of(row).unwrap_or_default(),
-                        message: format!("a sweep from station {station} with target {target}, of which one is in none of the measurements"),
-                        help: Some("expected sweeps from the stations, and with a target, of --measurements".to_owned()),
+                        message: format!("a sweep is from station {station} with target {target}, but the measurements lack \
+                                          one of them"),
+                        help: Some("expected sweeps from stations, and with a target, that occur in --measurements".to_owned()),
                     }
                     .into());
                 };
@@ -229,21 +232,21 @@ impl FileArgs {
 
 #[derive(Debug, Clone, Copy, PartialEq, ValueEnum)]
 enum MachineNoiseArg {
-    /// Where residuals are larger than the readings' noise explains, or readings of a pose depend on each other
+    /// If residuals are larger than the readings' noise explains, or readings of a pose depend on each other
     AsNeeded,
     /// Always
     Estimated,
-    /// Only what --actuator-sigma says
+    /// Only what --actuator-sigma states
     Stated,
 }
 
-/// What `--machine-noise` and `--actuator-sigma` say. A wrong one is a wrong use of the command line.
+/// The values of `--machine-noise` and `--actuator-sigma`. An invalid one is an error of usage.
 fn machine_noise(args: &Args, model: &CalibrationModel) -> MachineNoiseChoice {
     let sigmas = actuator_sigmas(&args.actuator_sigma, model);
     match args.machine_noise {
         MachineNoiseArg::Stated => MachineNoiseChoice::Stated(sigmas),
         _ if !args.actuator_sigma.is_empty() => {
-            let message = "--actuator-sigma: expected --machine-noise stated beside it";
+            let message = "--actuator-sigma: expected --machine-noise stated with it";
             Cli::command().error(ErrorKind::ValueValidation, message).exit()
         }
         MachineNoiseArg::AsNeeded => MachineNoiseChoice::AsNeeded,
@@ -251,7 +254,7 @@ fn machine_noise(args: &Args, model: &CalibrationModel) -> MachineNoiseChoice {
     }
 }
 
-/// Standard deviation of every actuator as `--actuator-sigma` says, m or rad. A wrong one is a wrong use of the command line.
+/// Standard deviation of every actuator from `--actuator-sigma`, m or rad. An invalid one is an error of usage.
 pub(super) fn actuator_sigmas(stated: &[String], model: &CalibrationModel) -> Vec<f64> {
     let refuse = |message: String| -> ! { Cli::command().error(ErrorKind::ValueValidation, message).exit() };
     let links = &model.kinematics.links;
@@ -398,7 +401,7 @@ fn bound(text: &str) -> Result<ParameterBound, String> {
     let (name, limits) = text.split_once('=').ok_or(expected)?;
     let (lower, upper) = limits.split_once("..").ok_or(expected)?;
     let id = ParameterId::parse(name)
-        .ok_or_else(|| format!("\"{name}\" is no parameter's name: expected {}", ParameterId::EXAMPLES))?;
+        .ok_or_else(|| format!("\"{name}\" is not the name of a parameter: expected {}", ParameterId::EXAMPLES))?;
     let bound = ParameterBound {
         id,
         lower: limit(id, lower)?.unwrap_or(f64::NEG_INFINITY),
@@ -408,7 +411,7 @@ fn bound(text: &str) -> Result<ParameterBound, String> {
     Ok(bound)
 }
 
-/// A limit in SI; `None` where that end is open.
+/// A limit in SI; `None` if that end is open.
 fn limit(id: ParameterId, text: &str) -> Result<Option<f64>, String> {
     if text.is_empty() {
         return Ok(None);
@@ -422,13 +425,13 @@ fn limit(id: ParameterId, text: &str) -> Result<Option<f64>, String> {
     match number {
         Some(number) if number.abs() <= 1e15 => Ok(Some(size * number)),
         _ if unit.is_empty() => {
-            Err(format!("\"{text}\" of {id}: expected a number without unit, or an open end"))
+            Err(format!("\"{text}\" of {id}: expected a number without unit, or nothing for an open end"))
         }
-        _ => Err(format!("\"{text}\" of {id}: expected a number of {unit}, such as 5{unit}, or an open end")),
+        _ => Err(format!("\"{text}\" of {id}: expected a number of {unit}, such as 5{unit}, or nothing for an open end")),
     }
 }
 
-/// Refuses bounds that no mode has a parameter for, as a wrong use of the command line.
+/// Refuses bounds on parameters that no mode has, as an error of usage.
 fn check_flags(
     model: &CalibrationModel,
     modes: &[Mode],
@@ -458,7 +461,7 @@ pub(super) fn family(text: &str) -> Result<String, String> {
     Err(format!("expected some of: {}", known.join(", ")))
 }
 
-/// How well stiffnesses are known.
+/// How well stiffnesses are known beforehand.
 #[derive(Debug, Clone, Copy)]
 enum CompliancePercent {
     Within(f64),
@@ -480,7 +483,7 @@ fn not_negative(text: &str) -> Result<f64, String> {
     }
 }
 
-/// The bodies' uncertainties with those that the flags state of all of them.
+/// The bodies' uncertainties, replaced by those that flags state for all bodies.
 fn bodies(args: &Args, robot: &Robot) -> Vec<BodyUncertainty> {
     let mut bodies = robot.bodies.clone();
     if args.mass_percent.is_some() || args.centre_mm.is_some() {
@@ -493,7 +496,7 @@ fn bodies(args: &Args, robot: &Robot) -> Vec<BodyUncertainty> {
     bodies
 }
 
-/// What `--compliances` asks for. A wrong name is a wrong use of the command line.
+/// The value of `--compliances`. An invalid name is an error of usage.
 pub(super) fn compliances(asked: &[String], model: &CalibrationModel) -> ComplianceChoice {
     match asked.iter().map(String::as_str).collect::<Vec<_>>().as_slice() {
         ["drives"] => return ComplianceChoice::Drives,
@@ -507,7 +510,7 @@ pub(super) fn compliances(asked: &[String], model: &CalibrationModel) -> Complia
             let names = known.iter().map(|compliance| ParameterId::Compliance(*compliance).to_string());
             let names: Vec<_> = names.collect();
             let expected = if names.is_empty() {
-                "no such flag: the robot's files give no finite stiffness".to_owned()
+                "to leave this flag out: the robot's files give no finite stiffness".to_owned()
             } else {
                 format!("drives, all, or some of: {}", names.join(", "))
             };
@@ -539,17 +542,17 @@ fn modes(args: &Args, robot: &Robot, options: &IdentificationOptions) -> Vec<Mod
     Mode::ALL.into_iter().filter(wanted).collect()
 }
 
-/// A robot and its measurements, as files hold them.
+/// A robot and its measurements, as read from files.
 pub(super) struct Loaded {
     pub robot: Robot,
-    /// Every file by its role; those of measurements by their names alone.
+    /// Every file by its role; files of measurements only by name.
     pub sources: Vec<(String, Source)>,
     /// One hash over all files.
     pub sha256: String,
     pub sets: Vec<SetOutcome>,
-    /// Where the observations of every set stand.
+    /// File and row of the observations of every set.
     pub places: Vec<Places>,
-    /// What was found of the measurement files, in words.
+    /// Remarks on the measurement files.
     pub read: Vec<String>,
     /// The files of measurements.
     pub asked: Vec<AskedSet>,
@@ -560,7 +563,7 @@ pub(super) struct Loaded {
 }
 
 impl Loaded {
-    /// Refuses a session file that states what cannot be used; a recording may hold it.
+    /// Refuses a session file that states values that cannot be used; a recording may hold it.
     pub(super) fn check_session(&self) -> Result<(), CliError> {
         match &self.session {
             Some((session, source)) => Ok(session.check_usable(source)?),
@@ -569,8 +572,8 @@ impl Loaded {
     }
 }
 
-/// Reads a robot and files of positions, whose columns `columns` tells, else the robot's file, with what `session` and the robot's file state
-/// of stations and targets.
+/// Reads a robot and files of positions, whose columns are described by `columns`, else by the robot's file, with the stations and targets
+/// that `session` and the robot's file state.
 pub(super) fn load(
     mut robot: Robot,
     columns: Option<&Path>,
@@ -636,19 +639,25 @@ pub(super) fn load(
 fn refuse_without_readings(asked: &[AskedSet], sets: &[SetOutcome]) -> Result<(), CliError> {
     let is_empty = |set: &&SetOutcome| set.measurements.observations.is_empty() && !set.dropped.is_empty();
     let Some(set) = sets.iter().find(is_empty) else { return Ok(()) };
-    let first = set.dropped.first().map_or("there is none", |(_, why)| why.as_str());
+    let first = set.dropped.first().map_or("no reason given", |(_, why)| why.as_str());
     let file = asked.iter().find(|asked| asked.kind == set.kind).or(asked.first());
     let file = file.and_then(|asked| asked.files.points.first()).map(|file| file.path.display().to_string());
     Err(InputError::Place {
         place: file.unwrap_or_default(),
         message: format!("every row of the {} set is a missed shot; the first: {first}", set.kind.key()),
-        help: Some("expected a position other than (0, 0, 0) in one row at least".to_owned()),
+        help: Some("expected a position other than (0, 0, 0) in at least one row".to_owned()),
     }
     .into())
 }
 
-/// The failure of an identification from these files, at the rows that it names, or at the last one where more poses are what it needs.
-pub(super) fn failed(error: PipelineError, file: &Path, sets: &[SetOutcome], places: &[Places]) -> CliError {
+/// The failure of an identification from these files, at the rows that it names, or at the last row if more poses are needed.
+pub(super) fn failed(
+    error: impl Into<PipelineError>,
+    file: &Path,
+    sets: &[SetOutcome],
+    places: &[Places],
+) -> CliError {
+    let error = error.into();
     let fitted = (sets.first().map_or(0, |set| set.measurements.observations.len()), places.first());
     let last = fitted.1.and_then(|places| places.of(fitted.0.checked_sub(1)?));
     let last = last.unwrap_or_else(|| file.display().to_string());
@@ -659,7 +668,7 @@ pub(super) fn failed(error: PipelineError, file: &Path, sets: &[SetOutcome], pla
                 why.named().iter().filter_map(|index| set.and_then(|places| places.of(*index))).collect();
             let mut help = why.help();
             if rows.len() > 1 {
-                help = format!("they stand in {}; {help}", rows.join(", "));
+                help = format!("they are in {}; {help}", rows.join(", "));
             }
             let own = || Some(set?.of(0)?.rsplit_once(':')?.0.to_owned());
             let place = rows.first().cloned().or_else(own).unwrap_or_else(|| file.display().to_string());

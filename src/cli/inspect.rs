@@ -16,10 +16,10 @@ use calibrig_recording::{
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   calibrig inspect runs/paper/recording.mcap
-  calibrig inspect out/recording.mcap.part           of a run that was killed
+  calibrig inspect out/recording.mcap.part           left by a run that was killed
   calibrig inspect runs/paper/recording.mcap --json
 
-Exit code 3 if the file is unfinished, breaks off or is damaged.")]
+Exit code 3 if the file is unfinished, truncated or damaged.")]
 pub(super) struct Args {
     /// The file
     file: PathBuf,
@@ -42,7 +42,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     Ok(if inspection.health.state == State::Whole { Verdict::Done } else { Verdict::Doubtful })
 }
 
-/// The error with the file's name, where it does not say it itself.
+/// The error, with the file's name unless the error says it itself.
 pub(super) fn named(file: &Path, error: RecordingError) -> CliError {
     match error {
         source @ RecordingError::NotMcap => CliError::Mcap { file: file.to_path_buf(), source },
@@ -50,7 +50,7 @@ pub(super) fn named(file: &Path, error: RecordingError) -> CliError {
     }
 }
 
-/// Does something that tells how many bytes of how many are behind: shown where it takes longer than two seconds.
+/// Does work that reports how many bytes of how many are done: shown if it takes longer than two seconds.
 pub(super) fn with_progress<T>(what: &str, work: impl FnOnce(&mut dyn FnMut(u64, u64)) -> T) -> T {
     let bar = ProgressBar::hidden();
     if let Ok(style) = ProgressStyle::with_template("{msg} {percent:>3} % {bar:40} {elapsed}") {
@@ -86,7 +86,7 @@ fn write_text(inspection: &Inspection, file: &Path, text: &mut String) -> std::f
     };
     writeln!(text, "{}: {} bytes of MCAP, {library}", inspection.file, inspection.bytes)?;
     if !inspection.calibrig {
-        writeln!(text, "  not a calibrig recording: it holds no metadata and no message of calibrig's")?;
+        writeln!(text, "  not a calibrig recording: it holds no metadata and no message of calibrig")?;
     }
     if inspection.recovered {
         writeln!(text, "  saved by `calibrig recover` from a damaged or unfinished file")?;
@@ -113,31 +113,31 @@ fn write_text(inspection: &Inspection, file: &Path, text: &mut String) -> std::f
 fn state_words(health: &Health) -> String {
     match (health.state, health.damaged_at) {
         (State::Whole, _) => whole_words(health).to_owned(),
-        (State::Unfinished, _) => "unfinished: the program that wrote it did not come to its end".to_owned(),
-        (State::Truncated, _) => "truncated: it breaks off".to_owned(),
+        (State::Unfinished, _) => "unfinished: the program that wrote it did not finish".to_owned(),
+        (State::Truncated, _) => "truncated: it ends in the middle".to_owned(),
         (State::Damaged, Some(at)) => format!("damaged at byte {at}"),
         (State::Damaged, None) => {
-            "damaged, but in no part that holds data: a checksum over the whole does not fit".to_owned()
+            "damaged, but in no part that holds data: a checksum over the whole file does not match".to_owned()
         }
     }
 }
 
-/// What can be said of a file in which nothing is wrong: a checksum that is not there does not fit either.
+/// What can be said of a file in which nothing is wrong; a missing checksum is not a matching one.
 pub(super) fn whole_words(health: &Health) -> &'static str {
     let any = health.checksum_of_data == Some(true)
         || health.checksum_of_summary == Some(true)
         || health.checksums > 0;
     match (health.lost.contains_key(&Part::OpaqueChunk), health.holds_unprotected(), any) {
-        (true, ..) => "whole, as far as it is looked into: chunks of another compression are not",
-        (_, false, true) => "whole: every part is there, and every checksum fits",
+        (true, ..) => "whole, as far as it was checked: chunks of another compression were not",
+        (_, false, true) => "whole: every part is there, and every checksum matches",
         (_, true, true) => {
-            "whole: every part is there, and every checksum that it has fits, but not all has one"
+            "whole: every part is there, and every checksum matches, but some parts have none"
         }
-        (_, _, false) => "every part is there, but no checksum tells whether it is as it was written",
+        (_, _, false) => "every part is there, but without a checksum changes would go unnoticed",
     }
 }
 
-/// The faults of a file, a line each.
+/// The faults of a file, one per line.
 pub(super) fn write_faults(health: &Health, text: &mut String) -> std::fmt::Result {
     for fault in health.faults.iter().take(10) {
         let part = fault.part.title();
@@ -181,7 +181,7 @@ fn recover_words(inspection: &Inspection, file: &Path) -> String {
         (State::Whole, _) => "not needed".to_owned(),
         (_, 0) => "nothing can be saved: no message can be read".to_owned(),
         (_, messages) => {
-            let all = if saved.anything_lost { "" } else { ": nothing of what is in it is lost" };
+            let all = if saved.anything_lost { "" } else { ": nothing in it is lost" };
             format!("`calibrig recover {} NEW` saves {messages}{lost} messages{all}", file.display())
         }
     }
@@ -189,9 +189,9 @@ fn recover_words(inspection: &Inspection, file: &Path) -> String {
 
 fn write_provenance(provenance: &ProvenanceReport, text: &mut String) -> std::fmt::Result {
     let fits = match provenance.state {
-        ProvenanceState::Fits => "fits its hash",
+        ProvenanceState::Fits => "matches its hash",
         ProvenanceState::Newer => "not checked",
-        ProvenanceState::Altered => "does not fit its hash",
+        ProvenanceState::Altered => "does not match its hash",
     };
     writeln!(text, "\nprovenance  {fits}")?;
     if let Some(problem) = &provenance.problem {
@@ -219,7 +219,7 @@ fn write_provenance(provenance: &ProvenanceReport, text: &mut String) -> std::fm
     Ok(())
 }
 
-/// What was measured, a line a set.
+/// What was measured, one line per set.
 pub(super) fn write_sets(sets: &[SetReport], text: &mut String) -> std::fmt::Result {
     let number = |value: Option<u32>| value.map_or_else(|| "?".to_owned(), |value| value.to_string());
     let rows: Vec<_> = sets
@@ -311,7 +311,7 @@ fn write_topics(topics: &[TopicReport], text: &mut String) -> std::fmt::Result {
     write_table(&heads, &rows.collect::<Vec<_>>(), &[1, 2, 3, 4, 5, 6], text)
 }
 
-/// A table with a blank line before it; nothing where it has no rows. Columns that are empty all the way down are left out.
+/// A table with a blank line in front; nothing if it has no rows. Columns that are empty throughout are left out.
 fn write_table(heads: &[&str], rows: &[Vec<String>], right: &[usize], text: &mut String) -> std::fmt::Result {
     if rows.is_empty() {
         return Ok(());

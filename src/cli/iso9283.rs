@@ -23,11 +23,11 @@ use calibrig_estimation::evaluation::iso9283::{CubePlane, ISO_CYCLES, Iso9283Err
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::nalgebra::Vector3;
 
-/// Pose accuracy and repeatability as ISO 9283 has them: on a simulated machine, or from a file of measured cycles
+/// Measure pose accuracy and repeatability as in ISO 9283: on a simulated machine, or from a file of measured cycles
 ///
-/// Of a scenario, the machine drives 30 cycles over five poses in an inclined plane of a cube, after its session and before the same tracker. Accuracy is
-/// told against what the robot without calibration predicts (the tracker placed by the base nests, and by a best fit), and against the identified robots.
-/// Of a file, poses are what has the same command in several rows.
+/// With a scenario, the machine drives 30 cycles over five poses in an inclined plane of a cube, after its session and in front of the same tracker.
+/// Accuracy is given relative to what the robot without calibration predicts (with the tracker placed by the base nests, and by a best fit), and
+/// relative to the identified robots. With a file, rows with the same command are the cycles of a pose.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   calibrig iso9283 scenarios/paper.toml
@@ -35,7 +35,7 @@ use calibrig_model::nalgebra::Vector3;
   calibrig iso9283 --model robot.toml --measurements cycles.csv --session session.toml
   calibrig iso9283 --model robot.toml --measurements cycles.csv --columns map.toml --target A
 
-Fewer than 30 cycles are told and not refused. Exit code 3 where an identified robot is doubtful.")]
+Fewer than 30 cycles are accepted with a warning. Exit code 3 if an identified robot is doubtful.")]
 pub(super) struct Args {
     /// The scenario file
     #[arg(required_unless_present = "robot", conflicts_with_all = ["robot", "measurements", "columns", "session", "target"])]
@@ -48,42 +48,44 @@ pub(super) struct Args {
     urdf: Option<PathBuf>,
     #[command(flatten)]
     chain: ChainArgs,
-    /// Measured cycles; may be repeated, as for one file a target
+    /// Measured cycles; may be repeated, for example with one file per target
     #[arg(long, value_name = "[TARGET=]FILE", requires = "robot")]
     measurements: Vec<String>,
     #[command(flatten)]
     rows: RowArgs,
-    /// Column map of the files, instead of the one that the robot's file names
+    /// Column map of the files, instead of the one named in the robot's file
     #[arg(long, value_name = "MAP.toml", requires = "robot")]
     columns: Option<PathBuf>,
     /// Stations with their nests, and targets with their uncertainty (docs/formats.md)
     #[arg(long, value_name = "SESSION.toml", requires = "robot")]
     session: Option<PathBuf>,
-    /// The target that is looked at [default: every one by itself, and three or more together for the orientation]
+    /// The target to evaluate [default: each by itself, and three or more together for the orientation]
     #[arg(long, value_name = "NAME")]
     target: Option<String>,
-    /// Cycles: of a scenario how many are driven, of a file how many of each pose count, from the first on [default: 30; all]
+    /// Number of cycles: with a scenario how many are driven, with a file how many of each pose are used, from the first on
+    /// [default: 30; all]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(3..=10_000))]
     cycles: Option<u32>,
-    /// Edge of the cube [default: the largest that is found in the working region, in steps of 10 mm]
+    /// Edge of the cube, mm, such as 300 [default: the largest that is found in the working region, in steps of 10 mm]
     #[arg(long, value_name = "MM", value_parser = edge, conflicts_with = "robot")]
     cube_mm: Option<f64>,
-    /// Middle of the cube in the base frame [default: where the target is in the middle of the working region]
+    /// Centre of the cube in the base frame, mm, such as 1200,0,800 [default: where the target is in the middle of the
+    /// working region]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = place, conflicts_with = "robot")]
     cube_centre_mm: Option<Place>,
-    /// Plane of the cube: its corners, 1 to 4 about the upper face and 5 to 8 below them
+    /// Plane of the cube, given by its corners: 1 to 4 around the upper face, 5 to 8 below them
     #[arg(long, value_enum, default_value_t = Plane::C1C2C7C8, conflicts_with = "robot")]
     plane: Plane,
     /// Seed of the random draws, instead of the scenario's
     #[arg(long, value_name = "N", conflicts_with = "robot")]
     seed: Option<u64>,
-    /// Number of the trial of a campaign
+    /// Number of a campaign's trial
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=4_000_000_000), conflicts_with = "robot")]
     trial: u32,
-    /// What stands for the machine: the multibody simulation, or the identification's own elastostatics (a matched model: for tests of the estimator)
+    /// Model of the machine: the multibody simulation, or the identification's own elastostatics (a matched model, for tests of the estimator)
     #[arg(long, value_enum, default_value_t = Plant::Rapier, conflicts_with = "robot")]
     plant: Plant,
-    /// Folder for iso9283.html and iso9283.json, which are written over [default: no files]
+    /// Folder for iso9283.html and iso9283.json, which are overwritten [default: no files]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Print as JSON (schema calibrig.iso9283/1) instead of the tables
@@ -192,7 +194,7 @@ fn of_scenario(args: &Args, path: &Path) -> Result<Iso9283Outcome, CliError> {
         bar.set_position(done.into());
         if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
-    // From here on there is nothing to close: the next one ends the process.
+    // From here on there is nothing to close: the next Ctrl-C ends the process.
     stop.store(true, Ordering::Relaxed);
     bar.finish_and_clear();
     outcome.map_err(|failure| match failure {
@@ -225,7 +227,7 @@ fn of_files(args: &Args) -> Result<Iso9283Outcome, CliError> {
     let mut outcome = outcome.map_err(|failure| CliError::Iso9283 { file, source: Box::new(failure) })?;
     if held_out > 0 {
         outcome.remarks.push(format!(
-            "{held_out} readings that are held out ([sets] of the column map, --verify-poses) are not looked at"
+            "{held_out} held-out readings ([sets] of the column map, --verify-poses) are not used"
         ));
     }
     if missed > 0 {
@@ -239,28 +241,30 @@ fn of_files(args: &Args) -> Result<Iso9283Outcome, CliError> {
 pub(super) fn help(failure: &Iso9283Failure) -> &'static str {
     match failure {
         Iso9283Failure::Reach(ReachError::Pose { .. }) => {
-            "expected a smaller cube (--cube-mm), another middle (--cube-centre-mm) or plane (--plane), or a wider region in [poses] of the scenario"
+            "expected a smaller cube (--cube-mm), another centre (--cube-centre-mm) or plane (--plane), or a larger region in \
+             [poses] of the scenario"
         }
         Iso9283Failure::Reach(_) => {
-            "expected another middle of the cube (--cube-centre-mm), or a wider region in [poses] of the scenario"
+            "expected another centre of the cube (--cube-centre-mm), or a larger region in [poses] of the scenario"
         }
         Iso9283Failure::Reading { .. } => {
-            "expected a cube that the tracker can see (--cube-mm, --cube-centre-mm, --plane), or another place of it in [tracker]"
+            "expected a cube that the tracker can see (--cube-mm, --cube-centre-mm, --plane), or another place of the tracker \
+             in [tracker]"
         }
         Iso9283Failure::Cycles(Iso9283Error::NoRepeats { .. } | Iso9283Error::TwoCycles { .. }) => {
-            "expected a row for every cycle, with the same commands or pose number, and no --average-repeats"
+            "expected one row per cycle, with the same commands or pose number, and no --average-repeats"
         }
         Iso9283Failure::Cycles(Iso9283Error::Unequal { .. }) => {
-            "expected whole cycles: --cycles N takes the first N of every pose; a missed shot can be measured again"
+            "expected whole cycles: --cycles N uses the first N of every pose; or measure the missed shot again"
         }
         Iso9283Failure::Cycles(Iso9283Error::Stations { .. }) => {
-            "expected the rows of one station in a file of their own"
+            "expected the rows of only one station: put those of each into a separate file"
         }
         Iso9283Failure::Cycles(Iso9283Error::TooFew { .. }) => "expected a smaller --cycles",
-        Iso9283Failure::Target { .. } => "expected --target with one of these names, or none for all of them",
+        Iso9283Failure::Target { .. } => "expected --target with one of these names, or no --target for all of them",
         Iso9283Failure::Hidden { .. } => {
             "expected poses that the first station sees: another --plane, or another cube (--cube-centre-mm, --cube-mm)"
         }
-        _ => "expected rows of finite numbers, a row for every cycle at a pose",
+        _ => "expected rows of finite numbers, one per cycle at a pose",
     }
 }

@@ -30,12 +30,12 @@ mod with_rerun {
 
         pub(in crate::cli) fn hear(&mut self, event: SessionEvent<'_>) {
             if let Some(recorder) = &mut self.0 {
-                // It keeps its troubles for the end.
+                // It reports its problems at the end.
                 let _ = recorder.hear(event);
             }
         }
 
-        /// Shows what was made of the session. A viewer that is gone is a remark, no failure.
+        /// Shows the results of the session. A viewer that is gone is a remark, not a failure.
         pub(in crate::cli) fn complete(self, outcome: &Outcome) {
             let Some(recorder) = self.0 else { return };
             if let Err(error) = recorder.evaluated(&outcome.story()).and_then(LiveRecorder::finish) {
@@ -55,7 +55,7 @@ mod without_rerun {
 
     pub(in crate::cli) const HERE: &str = "";
 
-    /// No address helps a build without Rerun.
+    /// A build without Rerun accepts no address.
     pub(in crate::cli) fn address(_: &str) -> Result<String, &'static str> {
         Err(
             "this build has no Rerun: build with `--features rerun`, or open the run's recording.mcap in a viewer",

@@ -1,4 +1,4 @@
-//! Files of measurements as commands take them: one or several, with what is said of their rows.
+//! Files of measurements as commands take them: one or several, with what flags say about their rows.
 
 use std::path::{Path, PathBuf};
 
@@ -16,7 +16,7 @@ use calibrig_model::JointKind;
 
 /// How the files are read.
 pub(super) struct Maps {
-    /// Files of text and spreadsheets; bags too where none of their own is here.
+    /// Text files and spreadsheets; bags too if none of their own is given here.
     pub files: ColumnMap,
     pub bags: Option<ColumnMap>,
 }
@@ -29,38 +29,38 @@ impl Maps {
     }
 }
 
-/// What is said of rows beside the column map.
+/// What flags say about rows, in addition to the column map.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub(super) struct RowArgs {
-    /// File with what was commanded, where it is not in the files of positions; joined row by row, or as [join] of the column map says
+    /// File with the commands, if they are not in the files of positions; joined row by row, or as [join] of the column map states
     #[arg(long, value_name = "FILE")]
     joints: Option<PathBuf>,
-    /// Poses of --measurements that are held out: numbers, runs such as 41..60, names
+    /// Poses of --measurements that are held out: numbers, ranges such as 41..60, names
     #[arg(long, value_name = "POSES", value_parser = poses)]
     verify_poses: Option<PoseList>,
-    /// What marks a missed shot in a cell of the position, such as -9999 or n/a. May be repeated
+    /// Text in a cell of the position that marks a missed shot, such as -9999 or n/a. May be repeated
     #[arg(long, value_name = "CODE", allow_hyphen_values = true)]
     missed: Vec<String>,
-    /// Signs of approach from the order of the rows
+    /// Take the signs of approach from the order of the rows
     #[arg(long)]
     approach_from_order: bool,
-    /// Repeats of a pose count as one reading, with their mean and scatter
+    /// Average repeated readings of a pose into one, with their mean and scatter
     #[arg(long)]
     average_repeats: bool,
-    /// A reading of the front face and one of the back face count as one, with their mean
+    /// Average a front-face and a back-face reading of a pose into one
     #[arg(long)]
     average_faces: bool,
     /// Sheet of an XLSX file [default: the first]
     #[arg(long, value_name = "NAME")]
     sheet: Option<String>,
-    /// Topic of the joints' states in a bag (`sensor_msgs/JointState`) [default: the only one]
+    /// Topic of the joint states in a bag (`sensor_msgs/JointState`), such as /joint_states [default: the only one]
     #[arg(long, value_name = "TOPIC")]
     bag_joints: Option<String>,
-    /// Topic of the points in a bag (`geometry_msgs/PointStamped`, `PoseStamped`, `PoseWithCovarianceStamped` or `TransformStamped`, `nav_msgs/Odometry`); repeated, each is a target [default: the
-    /// only one]
+    /// Topic of the points in a bag (`geometry_msgs/PointStamped`, `PoseStamped`, `PoseWithCovarianceStamped` or `TransformStamped`,
+    /// `nav_msgs/Odometry`); may be repeated, each is a target [default: the only one]
     #[arg(long, value_name = "TOPIC")]
     bag_points: Vec<String>,
-    /// How far the stamps of a point and of its joints may lie apart in a bag [default: 50]
+    /// Largest time between a point and its joint state in a bag, ms [default: 50]
     #[arg(long, value_name = "MS", value_parser = milliseconds)]
     bag_tolerance_ms: Option<f64>,
     /// Names that the joints have in a bag.
@@ -126,7 +126,7 @@ impl RowArgs {
         sets
     }
 
-    /// The same for files of sweeps, which have their commands beside their points and are held out as a whole.
+    /// The same for files of sweeps, which have their commands next to their points and are held out as a whole.
     pub fn of_sweeps(&self) -> Self {
         Self { joints: None, verify_poses: None, ..self.clone() }
     }
@@ -149,7 +149,7 @@ impl RowArgs {
         }
     }
 
-    /// The map of bags, whose joints are called as those of the robot.
+    /// The map of bags, whose joints have the names of the robot's joints.
     pub fn of_bags(&mut self, robot: &Robot) -> Result<ColumnMap, InputError> {
         let links = robot.model.kinematics.links.iter().enumerate();
         let commanded = links.filter(|(joint, _)| robot.model.actuators.is_commanded(*joint));
@@ -163,7 +163,7 @@ impl RowArgs {
         Ok(parse_column_map(&Source::new("columns of the bag", text))?.with_names_where_there())
     }
 
-    /// Reads the sets; rows of the first that are held out are one of their own.
+    /// Reads the sets; held-out rows of the first become a separate set.
     pub fn read(
         &self,
         sets: &[AskedSet],
@@ -201,7 +201,7 @@ fn nothing_to_fit(name: &str) -> InputError {
     InputError::Place {
         place: name.to_owned(),
         message: "all poses are held out ([sets] of the column map, or --verify-poses): none is left to identify from".to_owned(),
-        help: Some("expected a list that leaves poses for the fit, two thirds of them say".to_owned()),
+        help: Some("expected a list that leaves poses for the fit, for example two thirds of them".to_owned()),
     }
 }
 
@@ -209,13 +209,14 @@ fn held_out_twice(name: &str, loaded: &LoadedMeasurements) -> InputError {
     let first = loaded.held_out.iter().position(|held| *held).and_then(|index| loaded.places.of(index));
     InputError::Place {
         place: first.unwrap_or_else(|| name.to_owned()),
-        message: "this row is held out ([sets] of the column map, or --verify-poses), and --verify names a file to verify on"
+        message: "this row is held out ([sets] of the column map, or --verify-poses), but --verify names a file to verify on \
+                  as well"
             .to_owned(),
-        help: Some("expected one of them".to_owned()),
+        help: Some("expected only one of them".to_owned()),
     }
 }
 
-/// Adds the files of the sets to a hash of input files, read piece by piece.
+/// Adds the files of the sets to a hash of input files, piece by piece.
 pub(super) fn hash_files(hash: &mut InputHash, sets: &[AskedSet]) -> Result<(), CliError> {
     for (role, path) in sets.iter().flat_map(AskedSet::paths) {
         hash.add_file(role, path).map_err(|error| InputError::Unreadable {
@@ -226,14 +227,14 @@ pub(super) fn hash_files(hash: &mut InputHash, sets: &[AskedSet]) -> Result<(), 
     Ok(())
 }
 
-/// The files' texts with their roles, for a recording; why one is left out.
+/// The files' texts with their roles, for a recording, or why one is left out.
 pub(super) fn texts(sets: &[AskedSet]) -> (Vec<(String, Source)>, Vec<String>) {
     let (mut texts, mut left_out) = (Vec::new(), Vec::new());
     for (role, path) in sets.iter().flat_map(AskedSet::paths) {
         match Source::read(path) {
             Ok(source) => texts.push((role.to_owned(), source)),
             Err(_) => left_out.push(format!(
-                "{}: no text in UTF-8: the recording holds what was read of it, not the file",
+                "{}: not UTF-8 text: the recording holds the measurements read from it, but not the file",
                 path.display()
             )),
         }

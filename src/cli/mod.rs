@@ -1,4 +1,4 @@
-//! The command line: argument types, one file a command. Results go to stdout, diagnostics and progress to stderr.
+//! The command line: argument types, one file per command. Results go to stdout, diagnostics and progress to stderr.
 
 mod by_name;
 mod campaign;
@@ -66,14 +66,14 @@ struct Cli {
 }
 
 const EXIT_CODES: &str = "Exit codes:
-  0  done: the stated intervals hold as far as the data can tell; warnings may stand, also of a misfit that the intervals
+  0  done: the stated intervals hold as far as the data show; there may be warnings, also about a misfit that the intervals
      account for, and of drives without visible compliance
-  1  no result: input refused, or the nominal robot does not lie on the points (RMS after best fit at a large share of the
+  1  no result: input refused, or the nominal robot does not fit the points (RMS after best fit is a large share of the
      robot's size; the fit does not start; --fit-anyway goes on and then ends with 3)
   2  wrong usage
-  3  a result that a person must look at: not converged; rank-deficient in what was asked for; a stated prior, nest or
-     target contradicted; a bound of the user reached; a parameter whose identification makes held-out poses worse than
-     leaving it; gross errors that carry weight in the fit; replay differs; acceptance missed; shards missing
+  3  a result that you must look at: not converged; rank-deficient in what was asked for; a stated prior, nest or
+     target contradicted; a bound of yours reached; a parameter whose identification makes held-out poses worse than
+     leaving it out; gross errors with weight in the fit; replay differs; acceptance missed; shards missing
 Set NO_COLOR=1 for plain text.";
 
 #[derive(Debug, Subcommand)]
@@ -101,7 +101,7 @@ enum Command {
     Export(export::Args),
 }
 
-/// How a command ended that has a result (ADR 0015).
+/// How a command with a result ended (ADR 0015).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Verdict {
     /// Done.
@@ -111,7 +111,7 @@ enum Verdict {
 }
 
 impl Verdict {
-    /// Done only where both are.
+    /// Done only if both are.
     fn and(self, other: Self) -> Self {
         if self == Self::Done { other } else { self }
     }
@@ -141,13 +141,13 @@ enum CliError {
     AnotherModel { file: PathBuf, source: AnotherModel },
     #[error("{}: there is no estimate{}", file.display(), mode.map_or_else(String::new, |mode| format!(" of mode {}", mode.key())))]
     #[diagnostic(help(
-        "expected a recording whose measurements identify the robot; of an estimate.json, its own mode"
+        "expected a recording whose measurements identify the robot; for an estimate.json, its own mode"
     ))]
     NoEstimate { file: PathBuf, mode: Option<Mode> },
     #[error("{} there already", already(paths))]
-    #[diagnostic(help("expected other names, or --force to write over them"))]
+    #[diagnostic(help("expected other names, or --force to overwrite them"))]
     AlreadyThere { paths: Vec<PathBuf> },
-    #[error("{} is there already", path.display())]
+    #[error("{} exists already", path.display())]
     #[diagnostic(help("expected another name"))]
     NamedAlready { path: PathBuf },
     #[error("{}: {source}", file.display())]
@@ -170,7 +170,7 @@ enum CliError {
     #[error("interrupted after {done} of {total} poses; what was measured is in {}", part.display())]
     #[diagnostic(help("`calibrig recover {} RECORDING.mcap` makes a recording of it, which `calibrig replay` reads", part.display()))]
     Interrupted { done: u32, total: u32, part: PathBuf },
-    #[error("not all files are written to {}: {}", folder.display(), failures.join("; "))]
+    #[error("some files could not be written to {}: {}", folder.display(), failures.join("; "))]
     #[diagnostic(help("{}", unwritten_help(written)))]
     NotWritten { folder: PathBuf, failures: Vec<String>, written: Vec<&'static str> },
     #[error("cannot write {what}: {source}")]
@@ -178,13 +178,14 @@ enum CliError {
     #[error(transparent)]
     #[diagnostic(help("{}", campaign::help(_0)))]
     Folder(#[from] FolderError),
-    #[error("{}: there is a campaign in it already", path.display())]
+    #[error("{}: this folder holds a campaign already", path.display())]
     #[diagnostic(help(
-        "--resume goes on with it, or sums it up where it is complete; expected another folder for another campaign"
+        "expected another folder (--out) for a new campaign; or --resume, which continues this one, or summarises it if it is \
+         complete"
     ))]
     CampaignThere { path: PathBuf },
     #[error("{}: {count} {} among the shards must not be merged", path.display(), if *count == 1 { "file" } else { "files" })]
-    #[diagnostic(help("move them to another folder, and merge again: nothing was written"))]
+    #[diagnostic(help("move them to another folder, then merge again: nothing was written"))]
     NotMerged { path: PathBuf, count: usize },
     #[error("{}: {source}", path.display())]
     #[diagnostic(help("expected a table as this version of calibrig writes it"))]
@@ -208,10 +209,10 @@ fn unwritten_help(written: &[&str]) -> String {
         [] => String::new(),
         files => format!(", and in {}", files.join(" and ")),
     };
-    format!("expected room and permission to write; the result is on standard output{kept}")
+    format!("expected free space and permission to write; the result is on standard output{kept}")
 }
 
-/// What an identification needs that fails for want of poses, in words.
+/// What an identification that failed for lack of poses needs, in words.
 fn what_is_needed(error: &PipelineError) -> Option<String> {
     let PipelineError::Calibrate(error) = error else { return None };
     match *error.cause()? {
@@ -226,7 +227,7 @@ fn what_is_needed(error: &PipelineError) -> Option<String> {
     }
 }
 
-/// The failure of an identification from `source`; at `place` in it where more or other poses are what it needs.
+/// The failure of an identification from `source`; at `place` in it if more or other poses are needed.
 fn not_identified(error: PipelineError, file: &Path, source: &Source, place: Range<usize>) -> CliError {
     if let PipelineError::Implausible(why) = &error {
         let help = why.help();
@@ -243,7 +244,7 @@ fn not_identified(error: PipelineError, file: &Path, source: &Source, place: Ran
     }
 }
 
-/// The same of rows of measurement files.
+/// The same, for rows of measurement files.
 fn not_identified_at(error: PipelineError, file: &Path, place: String) -> CliError {
     match what_is_needed(&error) {
         Some(help) => InputError::Place { place, message: error.to_string(), help: Some(help) }.into(),
@@ -251,7 +252,7 @@ fn not_identified_at(error: PipelineError, file: &Path, place: String) -> CliErr
     }
 }
 
-/// Parses the arguments, runs the command and turns its end into an exit code.
+/// Parses the arguments, runs the command and turns its result into an exit code.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
     let result = match &cli.command {
@@ -287,13 +288,13 @@ pub fn main() -> ExitCode {
     }
 }
 
-/// Prints an error to stderr, with the place in the file where there is one.
+/// Prints an error to stderr, with its place in a file if it has one.
 fn complain(error: &CliError) {
     let mut theme =
         if colours(&io::stderr()) { GraphicalTheme::unicode() } else { GraphicalTheme::unicode_nocolor() };
     "error:".clone_into(&mut theme.characters.error);
     let mut text = String::new();
-    // Not wrapped: a file's name is copied whole, and terminals wrap by themselves.
+    // Not wrapped, so that a file's name can be copied whole; terminals wrap by themselves.
     let handler = GraphicalReportHandler::new_themed(theme).with_context_lines(2).with_wrap_lines(false);
     let told = Told { text: with_causes(error), error };
     if handler.render_report(&mut text, &told).is_err() {
@@ -303,7 +304,7 @@ fn complain(error: &CliError) {
     let _ = io::stderr().write_all(text.trim_start().as_bytes());
 }
 
-/// The error's message and those of its causes that it does not hold already.
+/// The error's message, and those of its causes that it does not contain already.
 fn with_causes(error: &CliError) -> String {
     let mut text = error.to_string();
     let mut cause = error.source();
@@ -333,7 +334,7 @@ impl fmt::Display for Told<'_> {
 impl std::error::Error for Told<'_> {}
 
 impl Told<'_> {
-    /// Where help and place are to be had.
+    /// Where help and place are found.
     fn place(&self) -> &dyn Diagnostic {
         match self.error {
             CliError::Replay { source, .. } => source,
@@ -367,14 +368,14 @@ fn colours(stream: &impl IsTerminal) -> bool {
 fn print(text: &str) -> Result<(), CliError> {
     let mut stdout = io::stdout().lock();
     match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
-        // The reader of a pipe went away with what it wanted.
+        // The reader of the pipe has what it wanted and is gone.
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
         Err(source) => Err(CliError::Output { what: "standard output".to_owned(), source }),
         Ok(()) => Ok(()),
     }
 }
 
-/// Writes a file that takes its name when it is whole.
+/// Writes a file that takes its name when it is complete.
 fn write_whole(folder: &Path, path: &Path, text: &str) -> io::Result<()> {
     let mut staged = tempfile::Builder::new().prefix(".calibrig-").tempfile_in(folder)?;
     staged.write_all(text.as_bytes())?;
@@ -383,7 +384,7 @@ fn write_whole(folder: &Path, path: &Path, text: &str) -> io::Result<()> {
     Ok(())
 }
 
-/// A temporary file is private; what a command leaves is not.
+/// A temporary file is private; the files that a command leaves are not.
 fn make_readable(file: &std::fs::File) -> io::Result<()> {
     #[cfg(unix)]
     {
@@ -399,14 +400,14 @@ impl From<TableError> for CliError {
     }
 }
 
-/// A scenario; what was made of its robot's table is said.
+/// A scenario; changes to its robot's table are reported.
 fn read_scenario(path: &Path) -> Result<Scenario, InputError> {
     let scenario = load_scenario(path)?;
     scenario.robot.remarks.iter().for_each(|remark| say(remark));
     Ok(scenario)
 }
 
-/// Says something to the person at the terminal, beside the result.
+/// Prints a message for the person at the terminal, separate from the result.
 fn say(text: &str) {
     // A lost remark must not lose the result.
     let _ = writeln!(io::stderr(), "{text}");

@@ -31,10 +31,10 @@ enum From {
 
 /// Make a robot's file from a URDF
 ///
-/// The joints between two links become rows of a table: Craig's where their axes cross, with Hayati's beta where they are nearly parallel. Signs and
-/// zeros of the joints stay those of the URDF. Masses are taken over where every moving link has one. The table is compared with the URDF at
-/// 1000 poses, and not given out where they differ by more than 1e-10 m. What is not needed is counted and passed over, no other file is
-/// opened, and what the URDF does not say is marked in the file and told.
+/// The joints between two links become rows of a table: Craig's convention if their axes cross, with Hayati's beta if they are nearly parallel.
+/// Signs and zeros of the joints stay those of the URDF. Masses are taken over if every moving link has one. The table is compared with the URDF at
+/// 1000 poses, and refused if they differ by more than 1e-10 m. Elements that are not needed are counted and ignored, no other file is opened, and
+/// assumptions are marked in the file and reported.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   calibrig model from-urdf ur5.urdf --base base_link --tip tool0 --out ur5
@@ -51,9 +51,9 @@ struct UrdfArgs {
 
 /// Make a robot's file from a table of Denavit-Hartenberg rows
 ///
-/// The table is delimited text: a header line with the columns a, alpha, d and theta and their units, and a row a joint from the base. Columns
-/// name, type (revolute, prismatic), beta, min and max may stand beside them. A cell of theta or d may hold the joint variable with its sign and offset,
-/// as manuals print it: q2 - 90.
+/// The table is delimited text: a header line with the columns a, alpha, d and theta and their units, and one row per joint from the base. Columns
+/// name, type (revolute, prismatic), beta, min and max are optional. A cell of theta or d may hold the joint variable with its sign and offset, as
+/// manuals print it: q2 - 90.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   calibrig model from-dh table.csv --convention standard --out ur5
@@ -66,10 +66,10 @@ A table.csv:
 struct DhArgs {
     /// The table
     file: PathBuf,
-    /// Whose table it is
+    /// Convention of the table
     #[arg(long, value_enum)]
     convention: ConventionArg,
-    /// The target in the last frame of the table
+    /// The target in the last frame of the table, mm, such as 0,0,100
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = target)]
     target_mm: Option<Target>,
     #[command(flatten)]
@@ -78,32 +78,32 @@ struct DhArgs {
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum ConventionArg {
-    /// A row's a and alpha stand in front of its joint ("modified")
+    /// A row's a and alpha come before its joint ("modified")
     Craig,
-    /// A row's a and alpha stand behind its joint ("classic")
+    /// A row's a and alpha come after its joint ("classic")
     Standard,
 }
 
-/// Which chain of a URDF, and where the target is.
+/// The chain of a URDF, and the target.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub(super) struct ChainArgs {
     /// The link of a URDF that is the base [default: its root]
     #[arg(long, value_name = "LINK")]
     pub base: Option<String>,
-    /// The link of a URDF that is the flange [default: its end, where it has one]
+    /// The link of a URDF that is the flange [default: its end, if it has only one]
     #[arg(long, value_name = "LINK")]
     pub tip: Option<String>,
-    /// The target in the frame of the tip
+    /// The target in the frame of the tip, mm, such as 12.5,0,80
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = target)]
     pub target_mm: Option<Target>,
-    /// Gravity in the frame of the base, where its z axis does not stand upright
+    /// Gravity in the frame of the base, m/s², if its z axis does not point up; such as 0,-9.81,0
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = acceleration)]
     pub gravity_m_per_s2: Option<Acceleration>,
 }
 
 impl ChainArgs {
-    /// The robot of its file, or of its URDF, where what was made of it is said. Flags of a URDF beside a robot's file are a wrong use of the
-    /// command line.
+    /// The robot from its file, or from its URDF, with a report of what was made. Flags of a URDF together with a robot's file are an error
+    /// of usage.
     pub(super) fn robot(&self, model: Option<&Path>, urdf: Option<&Path>) -> Result<Robot, CliError> {
         let Some(urdf) = urdf else {
             let flags = [
@@ -113,7 +113,7 @@ impl ChainArgs {
                 ("--gravity-m-per-s2", self.gravity_m_per_s2.is_some()),
             ];
             if let Some((flag, _)) = flags.iter().find(|(_, given)| *given) {
-                let message = format!("{flag}: expected --urdf beside it; a robot's file says this itself");
+                let message = format!("{flag}: expected --urdf with it; a robot's file states this itself");
                 Cli::command().error(ErrorKind::ArgumentConflict, message).exit();
             }
             return Ok(load_robot(model.unwrap_or(Path::new("robot.toml")))?);
@@ -142,10 +142,10 @@ struct OutputArgs {
     /// Folder for robot.toml
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Write over a robot.toml that is there
+    /// Overwrite an existing robot.toml
     #[arg(long)]
     force: bool,
-    /// Print what was made as JSON (schema calibrig.model/1)
+    /// Print the result as JSON (schema calibrig.model/1)
     #[arg(long)]
     json: bool,
 }
@@ -158,7 +158,7 @@ pub(super) struct Target(Vector3<f64>);
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Acceleration(Vector3<f64>);
 
-/// Three numbers with commas between.
+/// Three numbers separated by commas.
 fn three(text: &str) -> Option<Vector3<f64>> {
     let numbers: Vec<f64> = text.split(',').filter_map(|number| number.trim().parse().ok()).collect();
     match (numbers.as_slice(), text.split(',').count()) {
@@ -170,14 +170,14 @@ fn three(text: &str) -> Option<Vector3<f64>> {
 fn target(text: &str) -> Result<Target, String> {
     match three(text).filter(|place| place.iter().all(|number| number.abs() <= 1e6)) {
         Some(place) => Ok(Target(place / 1e3)),
-        None => Err("expected three numbers of mm with commas between, such as 12.5,0,80".to_owned()),
+        None => Err("expected three numbers of mm separated by commas, such as 12.5,0,80".to_owned()),
     }
 }
 
 fn acceleration(text: &str) -> Result<Acceleration, String> {
     match three(text).filter(|gravity| (0.1..=100.0).contains(&gravity.norm())) {
         Some(gravity) => Ok(Acceleration(gravity)),
-        None => Err("expected three numbers of m/s² with commas between, such as 0,-9.81,0".to_owned()),
+        None => Err("expected three numbers of m/s² separated by commas, such as 0,-9.81,0".to_owned()),
     }
 }
 
@@ -205,7 +205,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     Ok(Verdict::Done)
 }
 
-/// The file takes its name when it is whole.
+/// The file takes its name when it is complete.
 fn write(made: &Converted, output: &OutputArgs) -> Result<PathBuf, CliError> {
     let folder = &output.out;
     let path = folder.join("robot.toml");
@@ -218,7 +218,7 @@ fn write(made: &Converted, output: &OutputArgs) -> Result<PathBuf, CliError> {
         return in_the_way(at, "no folder", "a folder, or the name of a new one");
     }
     if path.is_dir() {
-        return in_the_way(&path, "a folder", "no folder of that name: a file takes it");
+        return in_the_way(&path, "a folder", "the name of a folder; a file has this name");
     }
     if path.exists() && !output.force {
         return Err(CliError::AlreadyThere { paths: vec![path] });
@@ -229,12 +229,13 @@ fn write(made: &Converted, output: &OutputArgs) -> Result<PathBuf, CliError> {
     Ok(path)
 }
 
-/// What commands can do with the model, in words.
+/// Which commands can use the model, in words.
 fn ready(made: &Converted) -> &'static str {
     if made.robot.model.statics.is_some() {
         "ready for identifiability, choose, identify, and as the robot of a scenario (the stiffnesses are guesses)"
     } else {
-        "ready for identifiability, choose, identify; a scenario needs masses of all moving links, stiffnesses and [gravity]"
+        "ready for identifiability, choose, identify; a scenario also needs masses of all moving links, stiffnesses and \
+         [gravity]"
     }
 }
 
@@ -242,7 +243,7 @@ fn as_text(made: &Converted, path: &Path) -> String {
     let model = &made.robot.model;
     let joints = model.kinematics.joint_count();
     let compared = made.difference.map_or_else(String::new, |difference| {
-        format!(", at most {difference:.1e} m off its URDF at 1000 poses")
+        format!(", at most {difference:.1e} m from its URDF at 1000 poses")
     });
     format!(
         "{}: {}, {joints} joint{}{compared}\n{}\n",

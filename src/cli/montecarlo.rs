@@ -19,49 +19,49 @@ use crate::pipeline::{PlantKind, check_analytic};
 use crate::report::quoted;
 use crate::scenario::{Layout, Scenario};
 
-/// Repeat a scenario with other draws, and see how accuracy and parameters scatter
+/// Repeat a scenario with other random draws, and see how accuracy and parameters scatter
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   calibrig montecarlo scenarios/paper.toml --trials 100             tables here; table, summary and report in a new folder under runs/
   calibrig montecarlo scenarios/matched.toml --trials 10000 --plant analytic --tolerance 0.2mm
-  calibrig montecarlo scenarios/paper.toml --trials 10000 --out out --resume       goes on where an earlier one was stopped
+  calibrig montecarlo scenarios/paper.toml --trials 10000 --out out --resume       continues an interrupted campaign
   calibrig montecarlo scenarios/paper.toml --trials 10000 --out out --shard 3/40   one part of forty; `calibrig merge out` joins them
   calibrig montecarlo scenarios/paper.toml --trials 10000 --out out --shards 40 --plan slurm   job files for a cluster
 
-The scenario's section [campaign] says what varies and how trials are laid out (docs/formats.md); without it, draws alone differ. A trial is a pure function
-of scenario, seed and its number: the same bits alone, on any number of threads and in any shards. Ctrl-C ends the campaign when the trials at hand are
-done, and keeps them. A trial that fails is a row with its reason. Exit code 3: interrupted, or, but of a shard, a trial failed.")]
+The scenario's section [campaign] states what varies and how trials are laid out (docs/formats.md); without it, only the random draws differ. A trial is a pure function
+of scenario, seed and its number: the same bits alone, on any number of threads and in any shards. Ctrl-C ends the campaign when the running trials are
+done, and keeps them. A failed trial is a row with its reason. Exit code 3: interrupted, or a trial failed (a shard with failed trials ends with 0).")]
 pub(super) struct Args {
     /// The scenario file
     scenario: PathBuf,
-    /// Number of trials [default: as the section campaign says; 100 without it]
+    /// Number of trials [default: as the section campaign states; 100 without it]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=4_000_000_000))]
     trials: Option<u64>,
-    /// Number of the first trial, of a plain campaign
+    /// Number of the first trial; only without [campaign], or with its design "plain"
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u64).range(0..=4_000_000_000))]
     first: u64,
-    /// What stands for the machine: the multibody simulation, or the identification's own elastostatics (a matched model: for tests of the estimator)
+    /// Model of the machine: the multibody simulation, or the identification's own elastostatics (a matched model, for tests of the estimator)
     #[arg(long, value_enum, default_value_t = Plant::Rapier)]
     plant: Plant,
     /// Seed of the random draws, instead of the scenario's
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
-    /// Threads; the result does not depend on them [default: one a core]
+    /// Number of threads; the result does not depend on it [default: one per core]
     #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true)]
     threads: u16,
     /// Folder for trials.parquet, summary.json, report.html and timings.csv [default: a new folder under runs/]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Go on with the campaign that is in --out
+    /// Continue the campaign in --out
     #[arg(long, requires = "out", conflicts_with_all = ["shard", "plan"])]
     resume: bool,
-    /// Carry out shard I of N alone (I from 0); trials of it that are saved already are kept
+    /// Carry out only shard I of N (I from 0), such as 3/40; its saved trials are kept
     #[arg(long, value_name = "I/N", requires = "out", value_parser = shard)]
     shard: Option<(u32, u32)>,
-    /// Write the job file of a scheduler for --shards parts into --out, and say what to type next; nothing is run
+    /// Write the job file of a scheduler for --shards parts into --out, and print the next commands; no trial is run
     #[arg(long, value_name = "SCHEDULER", requires = "out", requires = "shards", conflicts_with = "shard")]
     plan: Option<PlanFor>,
-    /// Number of the parts that --plan writes jobs for
+    /// Number of parts, such as 40, for which --plan writes jobs
     #[arg(long, value_name = "N", requires = "plan", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     shards: Option<u32>,
     #[command(flatten)]
@@ -92,7 +92,7 @@ impl From<PlanFor> for Scheduler {
 }
 
 impl Plant {
-    /// Refuses a machine that this plant cannot be, before anything is written.
+    /// Refuses a machine that this plant cannot simulate, before anything is written.
     pub(super) fn check(self, scenario: &Scenario, file: &Path) -> Result<(), CliError> {
         let checked = if self == Self::Analytic { check_analytic(&scenario.as_built) } else { Ok(()) };
         checked.map_err(|error| not_identified(error, file, &scenario.sources[0].1, 0..0))
@@ -115,7 +115,7 @@ fn shard(text: &str) -> Result<(u32, u32), String> {
     match (number.parse(), shards.parse()) {
         (Ok(number), Ok(shards)) if number < shards && shards <= MOST_SHARDS => Ok((number, shards)),
         (Ok(number), Ok(shards)) if number < shards => {
-            Err(format!("{shards} shards are more than {MOST_SHARDS}"))
+            Err(format!("{shards} shards are too many: at most {MOST_SHARDS}"))
         }
         (Ok(number), Ok(shards)) if shards > 0 => {
             Err(format!("there is no shard {number} of {shards}: the last one is {}", shards - 1_u32))
@@ -124,7 +124,7 @@ fn shard(text: &str) -> Result<(u32, u32), String> {
     }
 }
 
-/// A campaign of the scenario: as it lays it out, with so many trials where that is asked for.
+/// A campaign of the scenario, as laid out there, with another number of trials if one is given.
 pub(super) fn campaign_of(
     scenario: &Scenario,
     seed: u64,
@@ -138,20 +138,20 @@ pub(super) fn campaign_of(
     })
 }
 
-/// What is wrong with a trial's factors, at its place in the scenario's text where it has one.
+/// What is wrong with a trial's factors, at its place in the scenario's text if it has one.
 pub(super) fn refused(error: &CampaignError, scenario: &Scenario) -> CliError {
     let help = match error {
         CampaignError::TooManyMachines { .. } => {
-            "expected [as_built.drawn] with which nine of ten machines are possible: smaller linkage_mm, \
-            linkage_angles_mrad, crank_axis_mm or crank_tilts_mrad"
+            "expected [as_built.drawn] such that nine of ten drawn machines are possible: reduce linkage_mm, \
+             linkage_angles_mrad, crank_axis_mm or crank_tilts_mrad"
         }
         CampaignError::TooManyRefused { .. } => {
-            "expected [[campaign.factor]] whose values are possible in nine of ten trials; such as are not are drawn again"
+            "expected [[campaign.factor]] with values that are possible in nine of ten trials; impossible ones are drawn again"
         }
         CampaignError::Trial { source: CaseError::Refused { .. }, .. } => {
-            "expected [[campaign.factor]] whose values are all possible: in this design none is drawn again"
+            "expected [[campaign.factor]] with values that are all possible: this design cannot draw them again"
         }
-        CampaignError::Trial { .. } => "expected a number of trials that the [campaign] has",
+        CampaignError::Trial { .. } => "expected a trial number below the number of trials of the [campaign]",
     };
     let source = &scenario.sources[0].1;
     let place = source.places_of("campaign").into_iter().next().unwrap_or(0..0);
@@ -200,16 +200,16 @@ impl Args {
         };
         if scenario.campaign.as_ref().is_some_and(|plan| plan.layout != Layout::Plain) {
             return Err(flag(
-                "is of a plain campaign, and the scenario's [campaign] has another design",
-                "no --first; `calibrig run SCENARIO --trial N` carries out one trial",
+                "applies to a plain campaign, but the scenario's [campaign] has another design",
+                "to leave --first out; `calibrig run SCENARIO --trial N` carries out a single trial",
             ));
         }
         let whole = campaign_of(scenario, seed, self.plant.into(), Some(end))
-            .map_err(|_| flag("and --trials go beyond the last draw", "trials below 2^32"))?;
+            .map_err(|_| flag("and --trials go beyond the last possible draw", "trials below 2^32"))?;
         Ok((whole, self.first..end))
     }
 
-    /// What fixes the campaign beside scenario and trials.
+    /// What determines the campaign besides scenario and trials.
     fn further(&self) -> Vec<String> {
         let mut words = vec!["--plant".to_owned(), PlantKind::from(self.plant).key().to_owned()];
         if let Some(seed) = self.seed {
@@ -255,7 +255,7 @@ impl Work<'_> {
                 return self.interrupted(&folder, missing);
             }
             if !folder.is_complete() {
-                campaign::with_rows("putting the table together", &folder, |progress| {
+                campaign::with_rows("building the table", &folder, |progress| {
                     folder.complete(progress)
                 })?;
             }
@@ -269,19 +269,19 @@ impl Work<'_> {
         let folder = Folder::begin(path, manifest)?;
         let (range, shards) = (folder.manifest().range_of(shard), folder.manifest().shards);
         if folder.has_shard(shard)? {
-            say(&format!("shard {shard} of {shards} is there already and sound: nothing to do"));
+            say(&format!("shard {shard} of {shards} is complete and sound: nothing to do"));
             return Ok(Verdict::Done);
         }
         let timings = path.join("shards").join(format!("{shard:06}-of-{shards:06}.timings.csv"));
         let missing = self.carry_out(&folder, &range, timings);
         if folder.has_shard(shard)? {
-            say(&format!("another process completed shard {shard} of {shards} meanwhile"));
+            say(&format!("another process has completed shard {shard} of {shards} in the meantime"));
             return Ok(Verdict::Done);
         }
         let missing = missing?;
         if missing > 0 {
             say(&format!(
-                "interrupted: {missing} trials of shard {shard} of {shards} are not done; the same command goes on with it"
+                "interrupted: {missing} trials of shard {shard} of {shards} are missing; repeat the command to continue"
             ));
             return Ok(Verdict::Doubtful);
         }
@@ -330,7 +330,7 @@ impl Work<'_> {
         Ok(Verdict::Done)
     }
 
-    /// Carries out what is not done of `range`, and says how much is still not.
+    /// Carries out the missing trials of `range`, and says how many are still missing.
     fn carry_out(&self, folder: &Folder, range: &Range<u64>, timings: PathBuf) -> Result<u64, CliError> {
         let covered = folder.covered(range);
         let bar = ProgressBar::new(range.end - range.start);
@@ -343,9 +343,9 @@ impl Work<'_> {
             bar.set_position(covered.done());
             bar.reset_eta();
         }
-        let stop = stop_on_interrupt("the campaign; --resume goes on with what is done");
+        let stop = stop_on_interrupt("the campaign; --resume continues it");
         let mut parts = Parts::new(folder, self.columns, timings)?;
-        // For the side file alone.
+        // Only for the side file.
         #[allow(clippy::disallowed_methods)]
         let begun = Instant::now();
         let clock = move || begun.elapsed().as_secs_f64();
@@ -362,7 +362,7 @@ impl Work<'_> {
         Ok(missing.iter().map(|range| range.end - range.start).sum())
     }
 
-    /// What is done so far, and how to go on.
+    /// What is done so far, and how to continue.
     fn interrupted(&self, folder: &Folder, missing: u64) -> Result<Verdict, CliError> {
         if let Some(table) = folder.so_far()? {
             let reader = TableReader::open(table.path()).map_err(FolderError::from)?;
@@ -370,7 +370,8 @@ impl Work<'_> {
         }
         let trials = folder.manifest().trials;
         say(&format!(
-            "doubtful: interrupted, {missing} of {trials} trials are not done; what is done is kept in {}:\n  calibrig montecarlo {} --trials {trials} {} --out {} --resume",
+            "doubtful: interrupted, {missing} of {trials} trials are missing; those that are done are kept in {}. To \
+             continue:\n  calibrig montecarlo {} --trials {trials} {} --out {} --resume",
             folder.path().join("parts").display(),
             quoted(&self.args.scenario.display().to_string()),
             self.args.further().join(" "),
@@ -380,13 +381,14 @@ impl Work<'_> {
     }
 }
 
-/// How long rows are held before they are written: little at first, so that a short campaign loses little, and more when there is more.
+/// How long rows are held before they are written: briefly at first, so that a short campaign loses little, and longer the more there
+/// are.
 const FIRST_PART: Duration = Duration::from_millis(500);
 const LONGEST_PART: Duration = Duration::from_secs(32);
-/// Rows that are held at most.
+/// Most rows that are held.
 const LARGEST_PART: u64 = 8192;
 
-/// Writes what is done, part by part, so that little is lost when the process is killed.
+/// Writes what is done, part by part, so that little is lost if the process is killed.
 struct Parts<'a> {
     folder: &'a Folder,
     columns: &'a TrialColumns,
@@ -410,13 +412,13 @@ impl<'a> Parts<'a> {
         if is_new {
             timings.write_record(["trial", "seconds"]).map_err(std::io::Error::from).map_err(failed)?;
         }
-        // Of the wall: no row depends on it.
+        // By the wall clock: no row depends on it.
         #[allow(clippy::disallowed_methods)]
         let since = Instant::now();
         Ok(Self { folder, columns, open: None, since, hold: FIRST_PART, timings, timings_path, failed: None })
     }
 
-    /// Takes a trial in; says whether to go on. The first failure is kept for [`Self::finish`].
+    /// Takes a trial; says whether to continue. The first failure is kept for [`Self::finish`].
     fn take(&mut self, trial: &Trial, seconds: f64) -> bool {
         let taken = self.add(trial, seconds);
         self.failed = self.failed.take().or(taken.err());

@@ -15,19 +15,19 @@ use calibrig_recording::{RecordingError, UnfinishedFile};
 /// Which files a command leaves.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Files {
-    /// Reports alone.
+    /// Only reports.
     Reports,
     /// Reports and recordings.
     ReportsAndRecordings,
-    /// What a pose test leaves.
+    /// Results of a pose test.
     Iso9283,
     /// Planned poses.
     Plan,
-    /// What a campaign leaves.
+    /// Results of a campaign.
     Campaign,
-    /// What an acceptance test leaves.
+    /// Results of an acceptance test.
     Acceptance,
-    /// The tables of an exported recording; input files lie beside them.
+    /// The tables of an exported recording, next to its input files.
     Export,
     /// A calibrated robot.
     Calibrated,
@@ -69,14 +69,14 @@ impl Files {
 /// Where files go.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Destination<'a> {
-    /// The folder asked for, whose files are written over.
+    /// The given folder, whose files are overwritten.
     Asked(&'a Path),
-    /// A new folder under `runs/` with this name, so that nothing is written over unasked.
+    /// A new folder with this name under `runs/`, so that nothing is overwritten unasked.
     New(&'a str),
 }
 
 impl Destination<'_> {
-    /// Refuses a place that cannot be written to, before anything is computed for it. Makes nothing.
+    /// Refuses a place that cannot be written to, before anything is computed for it. Creates nothing.
     pub(super) fn check(self, files: Files) -> Result<(), CliError> {
         let folder = match self {
             Self::Asked(path) => path,
@@ -93,13 +93,13 @@ impl Destination<'_> {
         if let Self::Asked(folder) = self {
             let taken = files.names().iter().map(|name| folder.join(name)).find(|path| path.is_dir());
             if let Some(at) = taken {
-                return refused(&at, "a folder", "no folder of that name: a file takes it");
+                return refused(&at, "a folder", "the name of a folder; a file has this name");
             }
         }
         Ok(())
     }
 
-    /// The folder, made if it is not there, and whether it was made.
+    /// The folder, created if missing, and whether it was created.
     pub(super) fn make(self) -> Result<(PathBuf, bool), CliError> {
         let failed = |path: &Path| {
             let what = path.display().to_string();
@@ -133,11 +133,11 @@ impl Destination<'_> {
 
 const RUNS: &str = "runs";
 
-/// Completes a recording that lies in its folder already.
+/// Completes a recording that is in its folder already.
 pub(super) type Complete<'a> = Box<dyn FnOnce() -> Result<UnfinishedFile, RecordingError> + 'a>;
 
-/// Writes the files of `outcome` to `folder` and says where they are. They are all complete before the first one takes its name, and what
-/// cannot be written does not keep the others from it. What Rerun shows is put together meanwhile, and written when the rest is.
+/// Writes the files of `outcome` to `folder` and says where they are. All are complete before the first one takes its name, and one that
+/// cannot be written does not keep the others back. The Rerun file is put together meanwhile, and written at the end.
 pub(super) fn write(
     outcome: &Outcome,
     folder: &Path,
@@ -188,10 +188,10 @@ pub(super) fn write(
     })
 }
 
-/// `result`, behind which a new folder that nothing came into is removed.
+/// `result`, after removing a new folder that stayed empty.
 pub(super) fn or_removed<T>(result: Result<T, CliError>, folder: &Path, new: bool) -> Result<T, CliError> {
     if result.is_err() && new {
-        // It stays where something is in it.
+        // It stays if it is not empty.
         let _ = std::fs::remove_dir(folder);
     }
     result
@@ -211,14 +211,14 @@ struct Staged<'a> {
 
 impl Staged<'_> {
     fn failed(&mut self, name: &str, error: &impl std::error::Error) {
-        // What lies at the bottom of it: that a staged file could not be written says nothing more.
+        // The root cause: that a staged file could not be written adds nothing.
         let mut cause: &dyn std::error::Error = error;
         while let Some(inner) = cause.source() {
             cause = inner;
         }
         let mut text = format!("{name}: {cause}");
         if self.folder.join(name).exists() {
-            text += " (the file of that name there is an older one)";
+            text += "(the file of that name there is an older one)";
         }
         self.failures.push(text);
     }
@@ -259,7 +259,7 @@ pub(super) fn show(outcome: &Outcome, json: bool) -> Result<(), CliError> {
     print(&text)
 }
 
-/// Whether the fit may start. Measurements that the nominal robot does not lie on are the error, or where the fit goes on `anyway`, said.
+/// Whether the fit may start. Measurements that the nominal robot does not fit are the error or, if the fit goes on `anyway`, a warning.
 pub(super) fn plausible(
     model: &CalibrationModel,
     sets: &[SetOutcome],
@@ -272,14 +272,14 @@ pub(super) fn plausible(
     }
 }
 
-/// Says why there was no use in fitting.
+/// Says why a fit would be of no use.
 pub(super) fn doubtful(why: &Implausible) -> Verdict {
     say(&format!("doubtful: {why}; {}", why.help()));
     Verdict::Doubtful
 }
 
-/// The command line of this process for a POSIX shell, with `DIR` for the folder of its files and without what only chooses the form of
-/// the output.
+/// The command line of this process for a POSIX shell, with `DIR` for the folder of its files and without flags that only choose the
+/// form of the output.
 pub(super) fn command_line() -> String {
     let mut words = vec!["calibrig".to_owned()];
     let mut arguments = std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned());
@@ -297,7 +297,7 @@ pub(super) fn command_line() -> String {
     words.join(" ")
 }
 
-/// A reason, with what a fit that was stopped was still doing.
+/// A reason, with what a stopped fit was still changing.
 fn in_full(estimate: &Estimate, reason: &Warning) -> String {
     match reason {
         Warning::NotConverged(_) => format!("{reason}{}", still_moving(estimate)),
@@ -305,7 +305,7 @@ fn in_full(estimate: &Estimate, reason: &Warning) -> String {
     }
 }
 
-/// Doubtful as soon as there is a reason to look at one of the estimates; says each (ADR 0015).
+/// Doubtful as soon as one of the estimates has a reason to look at it; says each (ADR 0015).
 pub(super) fn verdict(outcome: &Outcome) -> Verdict {
     let mut reasons = Vec::new();
     for mode in outcome.splits.iter().flat_map(|study| &study.modes).filter(|mode| mode.doubtful > 0) {
@@ -340,7 +340,7 @@ pub(super) fn verdict(outcome: &Outcome) -> Verdict {
     if sound { Verdict::Done } else { Verdict::Doubtful }
 }
 
-/// Goals that no command was found for, in words.
+/// Goals without a command, in words.
 fn missed_goals(driven: &ClosedLoop) -> Vec<String> {
     let of_poses = driven.modes.iter().map(|mode| (mode, "pose"));
     let of_path =
@@ -360,10 +360,10 @@ fn missed_goals(driven: &ClosedLoop) -> Vec<String> {
     unreachable.chain(uncorrected).collect()
 }
 
-/// Parameters that are told to move still.
+/// Most parameters that are named as still moving.
 const MOST_MOVING: usize = 3;
 
-/// Which way a fit that was stopped still moved.
+/// Which way a stopped fit was still moving.
 fn still_moving(estimate: &Estimate) -> String {
     let moved: Vec<_> = estimate
         .last_moved(MOST_MOVING)

@@ -26,25 +26,25 @@ use calibrig_files::{
 use calibrig_model::JointKind;
 use values::{Length3, SideOfRegion};
 
-/// Choose the poses to measure: those that tell most of the robot where it will work, in an order to be driven
+/// Choose the poses to measure: those that say most about the robot in its working region, in an order to drive them
 ///
-/// Candidates come from the whole space of the joints, as far as the robot can take them without touching itself or the floor and a tracker sees the target. Of
-/// these, so many are chosen by what a fit would know of them: geometry, stiffness and payloads together, priors included. How accurate the robot then is predicted
-/// is told for the working region: of a scenario its [poses.region], else the whole space or --region.
+/// Candidates come from the whole joint space, as far as the robot can take them without touching itself or the floor and a tracker sees the target.
+/// Poses are chosen by how well a fit would determine all its parameters: geometry, stiffness and payloads together, with priors. The predicted
+/// accuracy is given for the working region: [poses.region] of a scenario, else the whole space or --region.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   calibrig plan scenarios/paper.toml --poses 30                  tables here
   calibrig plan scenarios/paper.toml --poses 30 --out plan       and plan.csv, plan.json, plan.html
   calibrig plan scenarios/paper.toml --accuracy 0.1mm            how many poses does 0.1 mm need?
   calibrig plan scenarios/matched.toml --poses 30 --criterion D --candidates 5000
-  calibrig plan scenarios/matched.toml --poses 30 --robots 3     also for robots as they could be made
+  calibrig plan scenarios/matched.toml --poses 30 --robots 3     also for robots within their tolerances
   calibrig plan --model models/ur5/robot.toml --tracker at500 --tracker-mm 2500,0,800 --poses 40
   calibrig plan --model robot.toml --session session.toml --noise-um 15 --poses 40 --out plan
   calibrig plan --model robot.toml --measurements first.csv --poses 10      which poses next?
   calibrig plan --after recording.mcap --poses 10 --out next                the same after a run
 
 plan.csv is a file that a scenario takes ([poses] identification_from = \"plan.csv\"), and that calibrig identify takes once the measured
-columns are added. Exit code 3 where --poses N do not reach the accuracy that was asked for; without --poses an accuracy out of reach is an error (1).")]
+columns are added. Exit code 3 if --poses N do not reach the given accuracy; without --poses an accuracy out of reach is an error (1).")]
 pub(super) struct Args {
     /// The scenario file
     #[arg(conflicts_with_all = ["robot", "measurements", "columns", "session", "tracker", "noise_um", "tracker_mm", "region"])]
@@ -57,77 +57,82 @@ pub(super) struct Args {
     urdf: Option<PathBuf>,
     #[command(flatten)]
     chain: ChainArgs,
-    /// Poses to choose
+    /// Number of poses to choose, such as 30
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
     poses: Option<u32>,
-    /// Accuracy to be reached, such as 0.1mm or 80um: the standard deviation of predicted places in the region, with what the machine does beside its model;
-    /// without --poses, as many are chosen as that needs
+    /// Accuracy to reach, such as 0.1mm or 80um: the standard deviation of predicted places in the region, including the machine's own random errors;
+    /// without --poses, as many poses are chosen as that needs
     #[arg(long, value_name = "LENGTH", value_parser = values::length)]
     accuracy: Option<f64>,
-    /// The same as a number of mm
+    /// The same as a number of mm, such as 0.1
     #[arg(long, value_name = "MM", value_parser = values::mm, conflicts_with = "accuracy")]
     accuracy_mm: Option<f64>,
-    /// Which figure of the standard deviations over the region
+    /// Which statistic of the standard deviations over the region
     #[arg(long, value_enum, default_value_t = FigureArg::Rms)]
     figure: FigureArg,
-    /// What is to be least: D, A, E, G or I of optimal designs (I: mean predicted variance over the region), or the observability index O1 to O5
+    /// What to minimise: D, A, E, G or I of optimal designs (I: mean predicted variance over the region), or the observability index O1 to O5
     #[arg(long, value_name = "NAME", default_value = "I", value_parser = criterion)]
     criterion: Criterion,
-    /// Candidates that can be measured, of which poses are chosen [default: 2000, fewer where a pose has many readings]
+    /// Number of measurable candidates from which poses are chosen [default: 2000, fewer if a pose has many readings]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     candidates: Option<u32>,
-    /// Take candidates from the working region alone
+    /// Take candidates only from the working region
     #[arg(long, conflicts_with = "candidates_from")]
     candidates_in_region: bool,
-    /// Take candidates from a file: joint commands in calibrig's own columns, or as the column map says
+    /// Take candidates from a file: joint commands in calibrig's own columns, or as the column map states
     #[arg(long, value_name = "FILE")]
     candidates_from: Option<PathBuf>,
-    /// Random starts of the search beside the greedy one
+    /// Random starts of the search, in addition to the greedy one
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(0..=1000))]
     starts: u32,
-    /// Also for so many robots as they could have been made within their tolerances
+    /// Plan also for this many robots drawn within their tolerances
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=100))]
     robots: u32,
-    /// What counts of these robots: their mean, or the worst of them
+    /// How these robots count: by their mean, or by the worst of them
     #[arg(long, value_enum, default_value_t = OverArg::Mean)]
     over: OverArg,
-    /// Let a pose be measured more than once
+    /// Allow a pose to be measured more than once
     #[arg(long)]
     repeats: bool,
-    /// Most poses that are looked at for --accuracy
+    /// Largest number of poses to try for --accuracy
     #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(4..=2000))]
     most: u32,
     /// Seed of random starts, drawn robots and the random poses for comparison [default: the scenario's, or 1]
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
-    /// The model that will be identified [default: geometry and stiffness where the robot's files give any, else geometry]
+    /// The model that will be identified [default: geometry and stiffness if the robot's files give any, else geometry]
     #[arg(long, value_name = "MODE", value_parser = fitted_mode)]
     mode: Option<Mode>,
-    /// Terms of the mode `extended`, by family; "none" for none
+    /// Terms of the mode `extended`, by family, such as linkage,ratio; "none" for none
     #[arg(long, value_name = "FAMILY,..", value_delimiter = ',', value_parser = family)]
     terms: Option<Vec<String>>,
-    /// How well lengths are known beforehand: standard deviation of a prior, mm [default: as the scenario says, else 10]
+    /// Prior knowledge of lengths: standard deviation, mm [default: as the scenario states, else 10]
     #[arg(long, value_name = "MM", value_parser = values::mm, requires = "tolerance_mrad")]
     tolerance_mm: Option<f64>,
-    /// How well angles are known beforehand: standard deviation of a prior, mrad [default: as the scenario says, else 20]
+    /// Prior knowledge of angles: standard deviation, mrad [default: as the scenario states, else 20]
     #[arg(long, value_name = "MRAD", value_parser = values::mm, requires = "tolerance_mm")]
     tolerance_mrad: Option<f64>,
-    /// What the machine does beside its model: standard deviation of an actuator from approach to approach, in mm or mrad, such as waist=0.05mrad. May be repeated
+    /// The machine's own random errors: standard deviation of an actuator from approach to approach, in mm or mrad, such as waist=0.05mrad. May be
+    /// repeated
     #[arg(long, value_name = "NAME=VALUE")]
     actuator_sigma: Vec<String>,
-    /// Where the robot will work: a joint and its range, such as rail=100mm..3900mm or waist=-20deg..40deg; others have their limits. May be repeated
+    /// Where the robot will work: a joint and its range, such as rail=100mm..3900mm or waist=-20deg..40deg; other joints use their limits. May be
+    /// repeated
     #[arg(long, value_name = "JOINT=MIN..MAX", value_parser = values::side, allow_hyphen_values = true)]
     region: Vec<SideOfRegion>,
-    /// The tracker, for its noise and limits: at500, at960, vantage, gts3800. After a session for its limits alone: the noise is what was found
+    /// The tracker, for its noise and limits: at500, at960, vantage, gts3800. After a session only for its limits: the noise is that found in
+    /// the session
     #[arg(long, value_name = "NAME", value_parser = values::preset, conflicts_with = "noise_um")]
     tracker: Option<Preset>,
-    /// Standard deviation of a measured coordinate, um, instead of a tracker's
+    /// Standard deviation of a measured coordinate, um, such as 15, instead of a tracker's
     #[arg(long, value_name = "UM", value_parser = values::mm)]
     noise_um: Option<f64>,
-    /// Where the tracker stands in the base frame, mm [default: where the session's nests say; else every pose is taken as seen]
+    /// Place of the tracker in the base frame, mm, such as 2500,0,800 [default: from the session's nests; else every pose is
+    /// taken as visible]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = values::length3)]
     tracker_mm: Option<Length3>,
-    /// Where the reflector's opening points, in the flange frame [default: turned to the tracker by hand]
+    /// Direction of the reflector's opening, in the flange frame, such as 0,0,1 [default: turned to the tracker by
+    /// hand]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = values::length3, conflicts_with = "scenario")]
     opening: Option<Length3>,
     /// Largest angle between the opening and the beam, deg [default: 30]
@@ -139,21 +144,21 @@ pub(super) struct Args {
     /// Radius of the links where the robot has no shapes, mm; 0: they touch and hide nothing [default: 8 % of its reach, at most 80]
     #[arg(long, value_name = "MM", value_parser = values::not_negative, conflicts_with = "scenario")]
     capsule_radius_mm: Option<f64>,
-    /// How far poses stay off the floor and beams off the links, mm: the real robot is not the nominal one
+    /// Clearance of poses from the floor and of beams from the links, mm: the real robot is not the nominal one
     #[arg(long, value_name = "MM", default_value_t = 50.0, value_parser = values::not_negative)]
     clearance_mm: f64,
-    /// How far angles stay off what tracker and reflector allow, deg
+    /// Margin to the angles that tracker and reflector allow, deg
     #[arg(long, value_name = "DEG", default_value_t = 2.0, value_parser = values::not_negative)]
     clearance_deg: f64,
-    /// Plan further poses: a recording, or an estimate.json beside --model and --measurements. What is measured stays
+    /// Plan further poses: a recording, or an estimate.json with --model and --measurements. The measured poses stay
     #[arg(long, value_name = "FILE")]
     after: Option<PathBuf>,
-    /// What was measured, as calibrig identify takes it: further poses are planned. May be repeated
+    /// Measured poses, as calibrig identify takes them: further poses are planned. May be repeated
     #[arg(long, value_name = "[TARGET=]FILE", requires = "robot")]
     measurements: Vec<String>,
     #[command(flatten)]
     rows: RowArgs,
-    /// Column map of the measurements and of --candidates-from, instead of the one that the robot's file names
+    /// Column map of the measurements and of --candidates-from, instead of the one named in the robot's file
     #[arg(long, value_name = "MAP.toml", requires = "robot")]
     columns: Option<PathBuf>,
     /// Stations with their nests, and targets with their uncertainty (docs/formats.md)
@@ -165,13 +170,14 @@ pub(super) struct Args {
     /// Speed of turning joints from pose to pose, deg/s
     #[arg(long, value_name = "DEG_PER_S", default_value_t = 15.0, value_parser = values::mm)]
     axis_deg_per_s: f64,
-    /// Seconds of driving that the order may cost for balanced approaches: a joint that is always approached from one side is worth so many
+    /// Weight of balanced approaches, s: driving time that the order may cost to approach a joint from both sides instead of always from
+    /// one
     #[arg(long, value_name = "S", default_value_t = 60.0, value_parser = values::not_negative)]
     balance_s: f64,
-    /// Seconds of driving that the order may cost against drift: one that the parameters take up as a whole is worth so many
+    /// Weight against drift, s: driving time that the order may cost to avoid a drift that the parameters take up as a whole
     #[arg(long, value_name = "S", default_value_t = 600.0, value_parser = values::not_negative)]
     drift_s: f64,
-    /// Folder for plan.csv, plan.json and plan.html, which are written over [default: no files]
+    /// Folder for plan.csv, plan.json and plan.html, which are overwritten [default: no files]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Print as JSON (schema calibrig.plan/1) instead of the tables
@@ -185,7 +191,7 @@ enum FigureArg {
     Rms,
     /// Mean standard deviation
     Mean,
-    /// What 95 % of the region's poses stay below
+    /// Value that 95 % of the region's poses stay below
     Q95,
     /// The largest
     Largest,
@@ -211,7 +217,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
         |message: &str| -> ! { Cli::command().error(ErrorKind::MissingRequiredArgument, message).exit() };
     let accuracy = args.accuracy.or(args.accuracy_mm.map(|mm| 1e-3 * mm));
     if args.poses.is_none() && accuracy.is_none() {
-        misused("--poses N or --accuracy LENGTH: expected how many poses, or what they are to reach");
+        misused("--poses N or --accuracy LENGTH: expected the number of poses, or the accuracy that they are to reach");
     }
     let has_robot = args.model.is_some() || args.urdf.is_some();
     if args.scenario.is_none() && !has_robot && args.after.is_none() {
@@ -299,7 +305,7 @@ fn request(
     })
 }
 
-/// The joint variables of a file of candidates. One that is beyond the limits is a mistake of whoever listed it.
+/// The joint variables of a file of candidates. One beyond the limits is an error of whoever listed it.
 fn listed(path: &Path, columns: Option<&Path>, robot: &Robot) -> Result<Vec<Vec<f64>>, CliError> {
     let source = Source::read(path)?;
     let map = match (columns, robot.sources.iter().find(|(role, _)| role == "columns")) {

@@ -24,7 +24,7 @@ impl<'a> Recording<'a> {
         Ok(Self { file, recorder })
     }
 
-    /// Where it lies until it is finished.
+    /// Its place until it is finished.
     pub(super) fn path(&self) -> PathBuf {
         self.file.path().to_path_buf()
     }
@@ -32,12 +32,12 @@ impl<'a> Recording<'a> {
     pub(super) fn hear(&mut self, event: SessionEvent<'_>) {
         let Ok(recorder) = &mut self.recorder else { return };
         if let Err(error) = recorder.hear(event) {
-            say(&format!("the recording ends here, the run goes on: {error}"));
+            say(&format!("the recording ends here, but the run continues: {error}"));
             self.recorder = Err(error);
         }
     }
 
-    /// Adds what was made of the session. The file is whole, and waits for its name.
+    /// Adds the results of the session. The file is then complete, and waits for its name.
     pub(super) fn complete(self, outcome: &Outcome) -> Result<UnfinishedFile, RecordingError> {
         let Self { file, recorder } = self;
         let completed =

@@ -7,11 +7,11 @@ use super::inspect::{named, whole_words, with_progress, write_faults, write_sets
 use super::{CliError, Verdict, print};
 use calibrig_recording::{Inspection, NotReplayed, ProvenanceState, Recovered, State, recover};
 
-/// Save what is sound of a damaged, truncated or unfinished recording into a new file
+/// Save the sound parts of a damaged, truncated or unfinished recording into a new file
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
-  calibrig recover out/recording.mcap.part recovered.mcap   of a run that was killed
-  calibrig recover damaged.mcap recovered.mcap --force      written over, if it is there
+  calibrig recover out/recording.mcap.part recovered.mcap   left by a run that was killed
+  calibrig recover damaged.mcap recovered.mcap --force      overwrites recovered.mcap
 
 The damaged file is not touched. Any MCAP file can be saved, not only calibrig's. Exit code 0 if nothing is lost, 3 if something is.")]
 pub(super) struct Args {
@@ -19,7 +19,7 @@ pub(super) struct Args {
     bad: PathBuf,
     /// The new file
     good: PathBuf,
-    /// Write over a file that is there
+    /// Overwrite an existing file
     #[arg(long)]
     force: bool,
 }
@@ -69,15 +69,15 @@ fn write_text(recovered: &Recovered, bad: &Path, good: &Path, text: &mut String)
     write_next(recovered, good, text)
 }
 
-/// What cannot be told of a file that ends too early.
+/// What is unknown about a file that ends too early.
 fn unknown(state: State) -> &'static str {
     match state {
-        State::Unfinished | State::Truncated => "; whether more was written before it ended cannot be told",
+        State::Unfinished | State::Truncated => "; whether more was written before it ended is unknown",
         _ => "",
     }
 }
 
-/// What the new file cannot vouch for.
+/// What the new file cannot guarantee.
 fn write_doubts(inspection: &Inspection, text: &mut String) -> std::fmt::Result {
     if let Some(provenance) =
         inspection.provenance.as_ref().filter(|provenance| provenance.state == ProvenanceState::Altered)
@@ -85,7 +85,7 @@ fn write_doubts(inspection: &Inspection, text: &mut String) -> std::fmt::Result 
         writeln!(text, "\n{}", provenance.problem.as_deref().unwrap_or_default())?;
         writeln!(
             text,
-            "So seed, scenario and models are not certain to be those of the run: the metadata are kept as `calibrig_altered`, and are"
+            "So seed, scenario and models may not be those of the run: the metadata are kept as `calibrig_altered`, and are"
         )?;
         let sound = if inspection.health.holds_unprotected() {
             ""
@@ -104,7 +104,7 @@ fn write_doubts(inspection: &Inspection, text: &mut String) -> std::fmt::Result 
     if inspection.health.holds_unprotected() {
         writeln!(
             text,
-            "\n{} messages or attachments have no checksum: whether they are as written cannot be told.",
+            "\n{} messages or attachments have no checksum: whether they were altered is unknown.",
             inspection.health.without_checksum
         )?;
     }
@@ -117,11 +117,12 @@ fn write_next(recovered: &Recovered, good: &Path, text: &mut String) -> std::fmt
         None => writeln!(text, "\nnext: calibrig replay {good}"),
         Some(NotReplayed::OpaqueChunks(why)) => writeln!(
             text,
-            "\nMessages of it are in chunks that calibrig does not look into: {why}. `calibrig replay` refuses it: write it again with zstd, lz4\nor no compression."
+            "\nSome messages are in chunks with a compression that calibrig cannot read: {why}. `calibrig replay` refuses it: \
+             write it again with zstd, lz4\nor no compression."
         ),
         Some(NotReplayed::Foreign) => writeln!(
             text,
-            "\nIt is not a calibrig recording: viewers of MCAP open it, `calibrig replay` does not."
+            "\nIt is not a calibrig recording: MCAP viewers open it, `calibrig replay` does not."
         ),
         Some(NotReplayed::Newer(software)) => {
             writeln!(text, "\nA later version wrote it: replay it with {software}.")

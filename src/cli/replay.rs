@@ -12,9 +12,10 @@ use calibrig_estimation::identification::Mode;
 use calibrig_files::load_robot;
 use calibrig_recording::{MissingPart, RecordingError, Unprotected};
 
-/// Identify again from a recording alone, and compare with the recorded estimates, bit for bit where the same version made them
+/// Identify again from only a recording, and compare with the recorded estimates, bit for bit if the same version made them
 ///
-/// With other options than the recorded ones the question is "what if": the errors are printed beside the recorded ones.
+/// With options other than the recorded ones the question is "what if": the errors are printed next to the recorded
+/// ones.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   calibrig replay runs/paper/recording.mcap                  the same bits?
@@ -23,18 +24,18 @@ use calibrig_recording::{MissingPart, RecordingError, Unprotected};
   calibrig replay recording.mcap --mode extended --json      other rows, the report as JSON
   calibrig replay session.mcap --model ur5/robot.toml        recorded by another program
 
-Exit code 3 if an estimate differs in any bit from the recorded one that this version of calibrig made, or if the recording is cut short. Where
-another version made the estimates, what differs is told (parameters in standard deviations, errors in mm), and is no reason for doubt.")]
+Exit code 3 if an estimate differs in any bit from the recorded one that this version of calibrig made, or if the recording is cut short. If
+another version made the estimates, differences are listed (parameters in standard deviations, errors in mm), and are no reason for doubt.")]
 pub(super) struct Args {
     /// The recording
     recording: PathBuf,
     /// Which models are fitted, beside the robot without calibration; may be repeated [default: as recorded]
     #[arg(long, value_name = "MODE", value_parser = fitted_mode)]
     mode: Vec<Mode>,
-    /// What a measurement far off the others costs: its square, or less [default: as recorded]
+    /// Loss of a measurement far from the others: its square, or less [default: as recorded]
     #[arg(long, value_enum, value_name = "LOSS")]
     loss: Option<LossArg>,
-    /// The name that --loss had
+    /// Former name of --loss
     #[arg(long, value_enum, value_name = "LOSS", hide = true, conflicts_with = "loss")]
     robust: Option<LossArg>,
     /// Leave out a topic and all below it, such as /nest or /measurement/verification; may be repeated
@@ -43,7 +44,7 @@ pub(super) struct Args {
     /// The robot's file, instead of the recorded one
     #[arg(long, value_name = "ROBOT.toml")]
     model: Option<PathBuf>,
-    /// Identify although the nominal robot does not lie on the points; ends with exit code 3
+    /// Identify even if the nominal robot does not fit the points; ends with exit code 3
     #[arg(long)]
     fit_anyway: bool,
     /// Print the report as JSON (schema calibrig.report/1) instead of the tables
@@ -60,7 +61,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
         fit_anyway: args.fit_anyway,
     };
     if args.robust.is_some() {
-        say("--robust is called --loss now, as in identify and in scenarios");
+        say("--robust is now called --loss, as in identify and in scenarios");
     }
     let replayed = replay(&args.recording, &options).map_err(|error| failed(error, &args.recording))?;
     output::show(&replayed.outcome, args.json)?;
@@ -100,15 +101,15 @@ pub(super) fn failed(error: ReplayError, file: &Path) -> CliError {
     }
 }
 
-/// What no checksum vouches for.
+/// What no checksum protects.
 pub(super) fn unnoticed(unprotected: &Unprotected) -> Option<String> {
     let messages = unprotected.messages;
     (unprotected.holds_data() && messages > 0).then(|| {
-        format!("{messages} messages of the recording are under no checksum: a bit that flipped in them since would not be noticed")
+        format!("{messages} messages of the recording have no checksum: changes in them would go unnoticed")
     })
 }
 
-/// That a set ends before its time.
+/// Warns that a set ends too early.
 pub(super) fn cut_short(part: &MissingPart) -> String {
     let kind = part.kind.key();
     match part.expected {
@@ -120,30 +121,30 @@ pub(super) fn cut_short(part: &MissingPart) -> String {
             format!("doubtful: the description of the {kind} set is lost, and with it all its observations")
         }
         None => format!(
-            "doubtful: the recording was cut short in the {kind} set, behind {} observations",
+            "doubtful: the recording was cut short in the {kind} set, after {} observations",
             part.found
         ),
     }
 }
 
-/// What the replay says of what was recorded.
+/// What the replay says about the recorded estimates.
 fn comparison(replayed: &Replayed) -> String {
     if replayed.what_if {
         return what_if(&replayed.changes);
     }
     match replayed.compared {
         _ if !replayed.differences.is_empty() => String::new(),
-        0 => "Replay: nothing to compare with: no estimate is recorded, or not all that it came from.\n"
+        0 => "Replay: nothing to compare with: the recording holds no estimate, or only part of what it was made from.\n"
             .to_owned(),
         1 => "Replay: 1 recorded estimate, identical bit for bit.\n".to_owned(),
         compared => format!("Replay: {compared} recorded estimates, all identical bit for bit.\n"),
     }
 }
 
-/// Smaller changes of a parameter, in standard deviations, are counted and not listed.
+/// Smaller changes of a parameter, in standard deviations, are counted but not listed.
 const LISTED: f64 = 0.0005;
 
-/// What another version made otherwise: parameters in standard deviations, errors in mm.
+/// Differences from another version: parameters in standard deviations, errors in mm.
 fn of_another_version(
     made_by: &MadeBy,
     parameters: &[ParameterChange],
@@ -153,7 +154,7 @@ fn of_another_version(
     let this = MadeBy::this();
     let mut lines = vec![
         format!("Replay: the recorded estimates were made by another version ({made_by}; this is {this})."),
-        "What differs, replayed less recorded, parameters in standard deviations:".to_owned(),
+        "Differences, replayed minus recorded, parameters in standard deviations:".to_owned(),
     ];
     for mode in Mode::ALL {
         let changes: Vec<_> = parameters.iter().filter(|change| change.mode == mode).collect();
@@ -175,16 +176,16 @@ fn changes_of(mode: Mode, changes: &[&ParameterChange]) -> Vec<String> {
     let s = if count == 1 { "" } else { "s" };
     let small = match small {
         0 => String::new(),
-        _ => format!(", {small} of them by less than {LISTED} and alike in their standard deviation"),
+        _ => format!(", {small} of them by less than {LISTED} and with the same standard deviation"),
     };
     std::iter::once(format!("  {}: {count} parameter{s}{small}", mode.title())).chain(lines).collect()
 }
 
-/// `None` of a change that is too small to be listed.
+/// `None` if the change is too small to be listed.
 fn line_of(change: &ParameterChange) -> Option<String> {
     let name = &change.name;
     match (change.values, change.in_sigmas()) {
-        ([Some(_), None], _) => Some(format!("    {name:<24} is not identified any more")),
+        ([Some(_), None], _) => Some(format!("    {name:<24} is no longer identified")),
         ([None, _], _) => Some(format!("    {name:<24} was not identified")),
         (_, Some(share)) if share.abs() < LISTED && !sigma_changed(change) => None,
         (_, Some(share)) => Some(format!("    {name:<24} {share:>+9.3}{}", sigmas(change))),
@@ -192,7 +193,7 @@ fn line_of(change: &ParameterChange) -> Option<String> {
     }
 }
 
-/// Whether the standard deviation is another by more than a thousandth.
+/// Whether the standard deviation differs by more than a thousandth.
 fn sigma_changed(change: &ParameterChange) -> bool {
     match change.sigmas {
         [Some(before), Some(now)] => !((now - before).abs() <= 1e-3 * before),
@@ -285,7 +286,7 @@ mod tests {
             "only calibration: 6 parameters, 1 of them by less than 0.0005",
             "delta_a2                    +2.000\n",
             "delta_a4                    +0.000   standard deviation +50.0 %\n",
-            "delta_d5                 is not identified any more",
+            "delta_d5                 is no longer identified",
             "delta_d6                 was not identified",
             "delta_d7                         -\n",
             "the recording holds no estimate of mode extended",

@@ -10,16 +10,16 @@ use crate::replay::{NoTruth, ReplayOptions, recorded_truth, replay};
 
 /// Make report.html, report.json and residuals.csv again from a recording
 ///
-/// The parameters are identified again from the recorded measurements; the truth of a simulated run is put beside them afterwards.
+/// The parameters are identified again from the recorded measurements; then the truth of a simulated run is added for comparison.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   calibrig report runs/paper/recording.mcap              in a new folder under runs/
-  calibrig report recording.mcap --out report            in report/, written over
+  calibrig report recording.mcap --out report            in report/, which is overwritten
   calibrig report recording.mcap --out report --json     and the report as JSON on standard output")]
 pub(super) struct Args {
     /// The recording
     recording: PathBuf,
-    /// Folder for report.html, report.json and residuals.csv, which are written over [default: a new folder under runs/]
+    /// Folder for report.html, report.json and residuals.csv, which are overwritten [default: a new folder under runs/]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Print the report as JSON (schema calibrig.report/1) instead of the tables
@@ -43,7 +43,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
         }
         Err(NoTruth::Real) => {}
         Err(NoTruth::OtherMachine) => say(
-            "the truth is left out: this version of calibrig makes another machine of the recorded scenario than the recorded one",
+            "the truth is left out: this version of calibrig draws a different machine from the recorded scenario",
         ),
     }
     let outcome = &replayed.outcome;

@@ -1,4 +1,4 @@
-//! What a diagnosis can ask for that no column map says: rows that are paired otherwise, or left out.
+//! Changes that a diagnosis can suggest but no column map can state: rows paired differently, or left out.
 
 use clap::CommandFactory;
 use clap::error::ErrorKind;
@@ -8,20 +8,19 @@ use crate::pipeline::{SetKind, SetOutcome};
 use calibrig_files::Places;
 use calibrig_model::measurement::Observation;
 
-/// How rows are taken otherwise than they stand in the file.
+/// How rows are read differently from their order in the file.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub(super) struct RereadArgs {
-    /// The joints of a row belong to the point so many rows below; above where it is negative
+    /// Pair the joints of a row with the point this many rows below; above if negative, such as -1
     #[arg(long, value_name = "ROWS", allow_negative_numbers = true, value_parser = clap::value_parser!(i32).range(-1_000_000..=1_000_000))]
     shift_points: Option<i32>,
-    /// Poses of --measurements whose points are left out, by their numbers (rows where they are not numbered), such as 5,14
+    /// Poses of --measurements whose points are left out, by number (by row if they have none), such as 5,14
     #[arg(long, value_name = "POSE,..", value_delimiter = ',')]
     leave_out: Vec<u32>,
 }
 
 impl RereadArgs {
-    /// Applies it to what was read; what is lost by it is dropped with the reason. A pose that was not measured is a wrong use of the command
-    /// line.
+    /// Applies it to what was read; lost points are dropped with the reason. A pose that was not measured is an error of usage.
     pub fn apply(&self, sets: &mut [SetOutcome], places: &mut [Places]) {
         for (set, places) in sets.iter_mut().zip(places) {
             let is_fitted = set.kind == SetKind::Identification;
@@ -40,7 +39,8 @@ impl RereadArgs {
     }
 }
 
-/// Pairs commands with the points so many rows below, without points of the poses that are left out; the rows whose commands are kept.
+/// Pairs commands with the points this many rows below, without the points that are left out; returns the rows whose commands are
+/// kept.
 fn paired(set: &mut SetOutcome, by: i64, left_out: &[u32]) -> Vec<usize> {
     let mut kept = Vec::new();
     let rows = std::mem::take(&mut set.measurements.observations);
@@ -71,7 +71,7 @@ fn paired(set: &mut SetOutcome, by: i64, left_out: &[u32]) -> Vec<usize> {
     kept
 }
 
-/// Where rows stand: by their numbers where these run through but for rows that were dropped, else one below the other.
+/// Positions of rows: by their numbers if these are consecutive except for dropped rows, else by their order.
 fn places(rows: &[Observation]) -> Vec<i64> {
     let numbers: Vec<i64> = rows.iter().map(|row| i64::from(row.pose)).collect();
     let span = numbers.last().zip(numbers.first()).map_or(0, |(last, first)| last - first);

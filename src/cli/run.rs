@@ -22,33 +22,34 @@ use calibrig_recording::Preamble;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   calibrig run scenarios/paper.toml                   tables here, files in a new folder under runs/
-  calibrig run scenarios/paper.toml --out out         the same, files in out/, written over
+  calibrig run scenarios/paper.toml --out out         the same, files in out/, which are overwritten
   calibrig run scenarios/paper.toml --seed 7 --json   other poses and noise, the report as JSON
   calibrig run scenarios/paper.toml --trial 42        trial 42 of `calibrig montecarlo` with the same scenario and seed
-  calibrig run scenarios/paper.toml --ablate          and what each part of the machine contributes
+  calibrig run scenarios/paper.toml --ablate          also shows what each part of the machine contributes
   calibrig run scenarios/paper.toml --live            shown in an open Rerun viewer while it goes on")]
 pub(super) struct Args {
     /// The scenario file
     scenario: PathBuf,
-    /// Folder for report.html, report.json, residuals.csv, recording.mcap and recording.rrd; its files are written over [default: a new folder under runs/]
+    /// Folder for report.html, report.json, residuals.csv, recording.mcap and recording.rrd, which are overwritten [default: a new folder under
+    /// runs/]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Seed of the random draws, instead of the scenario's
     #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = whole_number)]
     seed: Option<u64>,
-    /// Number of the trial of a campaign
+    /// Number of a campaign's trial, such as 42
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(0..=4_000_000_000), conflicts_with = "ablate")]
     trial: Option<u64>,
-    /// Trials of that campaign, where its layout depends on them: as `calibrig montecarlo` was told
+    /// Number of trials of that campaign, if its layout depends on it: the --trials of `calibrig montecarlo`
     #[arg(long, value_name = "N", requires = "trial", value_parser = clap::value_parser!(u64).range(1..=4_000_000_000))]
     trials: Option<u64>,
-    /// What stands for the machine: the multibody simulation, or the identification's own elastostatics (a matched model: for tests of the estimator)
+    /// Model of the machine: the multibody simulation, or the identification's own elastostatics (a matched model, for tests of the estimator)
     #[arg(long, value_enum, default_value_t = Plant::Rapier, conflicts_with = "ablate")]
     plant: Plant,
-    /// Repeat the run without one part of the machine at a time, and tell what each contributes
+    /// Repeat the run without one part of the machine at a time, and report what each contributes
     #[arg(long)]
     ablate: bool,
-    /// Show the run in an open Rerun viewer while it goes on [URL, if it is not the one on this machine: `rerun+http://HOST:9876/proxy`]
+    /// Show the run in an open Rerun viewer while it goes on [URL, if it is not on this machine: `rerun+http://HOST:9876/proxy`]
     #[arg(long, value_name = "URL", num_args = 0..=1, require_equals = true, default_missing_value = live::HERE, value_parser = live::address)]
     live: Option<String>,
     /// Print the report as JSON (schema calibrig.report/1) instead of the tables
@@ -69,7 +70,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
 }
 
 impl Args {
-    /// What is run: the scenario as it is, or a trial of its campaigns; and the number of the draw.
+    /// What is run: the scenario as it is, or a trial of its campaign; and the number of the draw.
     fn case<'a>(&self, scenario: &'a Scenario, seed: u64) -> Result<(Cow<'a, Scenario>, u32), CliError> {
         let Some(trial) = self.trial else { return Ok((Cow::Borrowed(scenario), 0)) };
         let plant = self.plant.into();
@@ -94,7 +95,7 @@ fn run_into(
 ) -> Result<Verdict, CliError> {
     let mut input = pipeline::input_of(scenario, seed, draw, args.plant.into());
     if let Some(trial) = args.trial.filter(|trial| *trial > 0) {
-        // Its number in the campaign, which is not that of its draw in every design.
+        // Its number in the campaign, which in some designs differs from that of its draw.
         input.name = format!("{}, trial {trial}", scenario.name);
     }
     let preamble = Preamble {
@@ -127,14 +128,15 @@ fn run_into(
         outcome.input.name.clone_from(&input.name);
     }
     let complete: output::Complete<'_> = if args.ablate {
-        // Before the runs without a part: an interrupt of them leaves a whole recording.
+        // Before the runs without a part, so that an interrupt of those leaves a complete recording.
         let completed = recording.complete(&outcome);
         outcome.ablation = Some(ablate(scenario, seed, &outcome));
         Box::new(|| completed)
     } else {
         Box::new(|| recording.complete(&outcome))
     };
-    // Before the tables: whoever reads only their first lines gets the files. But what cannot be written does not keep the tables back.
+    // Before the tables, so that a reader of only their first lines gets the files. A file that cannot be written does not keep the
+    // tables back.
     let written = output::write(&outcome, folder, Some(complete));
     let shown = output::show(&outcome, args.json);
     live.complete(&outcome);
@@ -143,14 +145,15 @@ fn run_into(
     Ok(output::verdict(&outcome))
 }
 
-/// The run, told to `listener` while it is measured. An interrupt ends the session; later ones end the process.
+/// The run, reported to `listener` while it is measured. The first interrupt ends the session; later ones end the
+/// process.
 fn measure(
     args: &Args,
     scenario: &Scenario,
     (seed, draw): (u64, u32),
     listener: &mut dyn FnMut(SessionEvent<'_>),
 ) -> Result<Outcome, PipelineError> {
-    let stop = stop_on_interrupt("the run, and leave what is measured as a file to recover");
+    let stop = stop_on_interrupt("the run, and leave the measurements so far as a file to recover");
     let bar = ProgressBar::new(0);
     if let Ok(style) = ProgressStyle::with_template("simulating pose {pos}/{len} {bar:40} {elapsed}") {
         bar.set_style(style);
@@ -178,7 +181,7 @@ fn measure(
         });
         outcome
     });
-    // From here on there is nothing to close: the next one ends the process.
+    // From here on there is nothing to close: the next Ctrl-C ends the process.
     stop.store(true, Ordering::Relaxed);
     bar.finish_and_clear();
     outcome

@@ -28,39 +28,39 @@ enum What {
 
 /// Write the simulated twin of a robot, ready to run
 ///
-/// From the robot's file alone: a box of joint variables in which it touches neither itself nor the floor, a place for the tracker that sees it,
+/// From only the robot's file: a box of joint variables in which it touches neither itself nor the floor, a place for the tracker that sees it,
 /// nests, and as many poses as its parameters need. As-built errors, stiffnesses and effects are those of a size class, each with its source or
-/// reason beside it in the file, which is made to be edited.
+/// reason next to it in the file, which you can edit.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   calibrig scenario new --model models/ur5/robot.toml --out ur5.toml
   calibrig scenario new --model models/ur5/robot.toml --out hanging.toml --mounting ceiling --tracker gts3800
   calibrig scenario new --model models/spray_painter/robot.toml --out painter.toml --class large --floor-mm -400
 
-Of a URDF, make a robot's file first: calibrig model from-urdf FILE --out DIR.")]
+From a URDF, make a robot's file first: calibrig model from-urdf FILE --out DIR.")]
 struct NewArgs {
     /// The robot's file
     #[arg(long, value_name = "ROBOT.toml")]
     model: PathBuf,
-    /// The scenario
+    /// File for the scenario
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// Whose errors, stiffnesses and effects it has [default: by reach and moving mass]
+    /// Size class, which sets errors, stiffnesses and effects [default: by reach and moving mass]
     #[arg(long, value_enum)]
     class: Option<ClassArg>,
-    /// How the base is mounted [default: as the robot's file says]
+    /// How the base is mounted [default: as the robot's file states]
     #[arg(long, value_enum)]
     mounting: Option<MountingArg>,
     /// The tracker: at500, at960, vantage or gts3800
     #[arg(long, value_name = "PRESET", default_value = "at500", value_parser = preset)]
     tracker: Preset,
-    /// Height of the floor above the base's origin [default: by the robot's own heights]
+    /// Height of the floor above the base's origin, mm, such as -400 [default: by the robot's own heights]
     #[arg(long, value_name = "MM", allow_hyphen_values = true, value_parser = millimetres)]
     floor_mm: Option<f64>,
     /// Seed of its random draws
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
-    /// Write over a file that is there
+    /// Overwrite an existing file
     #[arg(long)]
     force: bool,
     /// Print what was chosen as JSON (schema calibrig.twin/1)
@@ -70,11 +70,11 @@ struct NewArgs {
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum ClassArg {
-    /// As a UR5, an iiwa, an IRB 120
+    /// Such as a UR5, an iiwa, an IRB 120
     Small,
-    /// As a KR 240
+    /// Such as a KR 240
     Medium,
-    /// On a rail, as a gantry
+    /// On a rail or a gantry
     Large,
 }
 
@@ -82,9 +82,9 @@ enum ClassArg {
 enum MountingArg {
     /// The base's z axis upwards
     Floor,
-    /// Its z axis level, its x axis upwards
+    /// The base's z axis level, its x axis upwards
     Wall,
-    /// Its z axis downwards
+    /// The base's z axis downwards
     Ceiling,
 }
 
@@ -131,7 +131,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     Ok(Verdict::Done)
 }
 
-/// A robot's file that is a URDF is not read as one: what it says less than a robot's file is asked for where that is made.
+/// A URDF is refused here rather than read: a robot's file is made from it first, where missing values are asked for.
 fn about_urdf(error: InputError, path: &Path) -> CliError {
     let is_urdf =
         path.extension().is_some_and(|ext| ["urdf", "xml", "xacro"].iter().any(|known| ext == *known));
@@ -139,7 +139,7 @@ fn about_urdf(error: InputError, path: &Path) -> CliError {
         return error.into();
     }
     let help = format!(
-        "expected a robot's file: `calibrig model from-urdf {} --out DIR` makes one of a URDF",
+        "expected a robot's file: `calibrig model from-urdf {} --out DIR` makes one from a URDF",
         path.display()
     );
     InputError::Place {
@@ -175,7 +175,7 @@ fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// The file takes its name when it is whole.
+/// The file takes its name when it is complete.
 fn write(args: &NewArgs, text: &str) -> Result<(), CliError> {
     let path = &args.out;
     let folder = folder_of(path);
@@ -184,10 +184,10 @@ fn write(args: &NewArgs, text: &str) -> Result<(), CliError> {
     super::write_whole(folder, path, text).map_err(failed)
 }
 
-/// The path of a file as another one names it: relative to the other's folder.
+/// The path of a file as another file names it: relative to that file's folder.
 fn from_folder_of(other: &Path, file: &Path) -> String {
     let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
-    // The other is not there yet.
+    // The other file does not exist yet.
     let (folder, file) = (absolute(folder_of(other)), absolute(file));
     let (folder, file) =
         (fs::canonicalize(&folder).unwrap_or(folder), fs::canonicalize(&file).unwrap_or(file));
@@ -213,7 +213,7 @@ fn as_text(args: &NewArgs, made: &Twin) -> String {
     let scenario = &made.scenario;
     let mass = made
         .mass
-        .map_or("masses not known, so that nothing yields".to_owned(), |m| format!("moves {m:.0} kg"));
+        .map_or("unknown masses, so that nothing deflects".to_owned(), |m| format!("moves {m:.0} kg"));
     line(format_args!("{}: the twin of {}", args.out.display(), scenario.robot.name));
     line(format_args!("  size         class {}: reaches {:.2} m, {mass}", made.class, made.reach));
     for (index, link) in scenario.robot.model.kinematics.links.iter().enumerate() {
@@ -244,7 +244,7 @@ fn as_text(args: &NewArgs, made: &Twin) -> String {
     let effects: Vec<_> = scenario.as_built.effects.active().iter().map(|effect| effect.key()).collect();
     line(format_args!("  effects      {}", effects.join(", ")));
     let file = crate::report::quoted(&args.out.display().to_string());
-    line(format_args!("\nEvery number has its reason beside it in the file. Next:"));
+    line(format_args!("\nEvery number has its reason next to it in the file. Next:"));
     line(format_args!("  calibrig check {file}"));
     line(format_args!("  calibrig identifiability {file}"));
     line(format_args!("  calibrig run {file}"));

@@ -10,15 +10,16 @@ use crate::pipeline::{AcceptanceOutcome, TestedKind, test_instruments};
 use crate::report::{acceptance_html, acceptance_json, acceptance_svg, acceptance_text};
 use calibrig_files::InputError;
 
-/// Test a virtual laser tracker as a maker does: reference lengths, two faces, ranging, against its permissible errors
+/// Test a virtual laser tracker as a manufacturer does: reference lengths, two faces, ranging, against its permissible
+/// errors
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   calibrig tracker-acceptance at500                                 one instrument: the table of its largest errors
-  calibrig tracker-acceptance scenarios/paper.toml --out acceptance  the same of the scenario's kind, with a picture
+  calibrig tracker-acceptance scenarios/paper.toml --out acceptance  the same for the scenario's instrument, with a picture
   calibrig tracker-acceptance vantage --instruments 300 --json      how many of 300 pass
 
-The test is in the style of ASME B89.4.19, not after its text. An instrument is a function of the seed and its number. A scenario's
-session draws again where an instrument fails; this command does not. Exit code 3: the one instrument fails; with several it is 0.")]
+The test is in the style of ASME B89.4.19, but does not follow its text. An instrument is a function of the seed and its number. A scenario's
+session draws again if an instrument fails; this command does not. Exit code 3: the single instrument fails; with several it is 0.")]
 pub(super) struct Args {
     /// The scenario file, or a preset: at500, at960, vantage or gts3800
     #[arg(value_name = "SCENARIO|PRESET")]
@@ -32,7 +33,7 @@ pub(super) struct Args {
     /// Print as JSON (schema calibrig.acceptance/1)
     #[arg(long)]
     json: bool,
-    /// Folder for acceptance.html, acceptance.svg and acceptance.json, which are written over
+    /// Folder for acceptance.html, acceptance.svg and acceptance.json, which are overwritten
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
 }
@@ -62,7 +63,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     Ok(Verdict::Done)
 }
 
-/// The kind that an argument names, and the seed that goes with it.
+/// The instrument that an argument names, and the seed that goes with it.
 fn kind_of(name: &Path) -> Result<(TestedKind, u64), CliError> {
     if let Some(kind) = name.to_str().and_then(TestedKind::of_preset) {
         return Ok((kind, 1));
@@ -71,7 +72,7 @@ fn kind_of(name: &Path) -> Result<(TestedKind, u64), CliError> {
         let names = TestedKind::preset_names().join(", ");
         return Err(InputError::Place {
             place: name.display().to_string(),
-            message: "there is neither a file nor a preset of this name".to_owned(),
+            message: "there is no file and no preset of this name".to_owned(),
             help: Some(format!("expected a scenario file, or one of: {names}")),
         }
         .into());

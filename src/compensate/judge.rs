@@ -59,7 +59,8 @@ pub(super) fn doubts(made: &Compensation, estimate: &Estimate, unfinished: Optio
     });
     of(&|point| point.end == End::Jumped, &|count, index, first| {
         format!(
-            "{} reached with a jump only, the first time at {}: another branch of the redundancy, or points too far apart for the longest step",
+            "{} reached only with a jump, the first time at {}: another branch of the redundancy, or points too far apart for \
+             the longest step",
             points_are(count),
             called(index, first)
         )
@@ -68,14 +69,15 @@ pub(super) fn doubts(made: &Compensation, estimate: &Estimate, unfinished: Optio
     of(&is_open, &|count, index, first| {
         let left = first.point.as_ref().map_or(0.0, |found| 1e6 * found.missed());
         format!(
-            "{} left by more than 1 um, {} by {left:.3} um (--tolerance-um)",
+            "{} with more than 1 um left, {} by {left:.3} um (--tolerance-um)",
             points_are(count),
             called(index, first)
         )
     });
     of(&is_far, &|count, index, first| {
         format!(
-            "{} corrected by more than {} m or rad of an actuator, the first is {}: near a singular pose, where what is corrected is hardly determined",
+            "{} corrected by more than {} m or rad of an actuator, the first is {}: near a singular pose, where the \
+             correction is hardly determined",
             points_are(count),
             CompensatedPoint::FARTHEST,
             called(index, first)
@@ -110,7 +112,7 @@ pub(super) fn remarks(made: &Compensation, file: &EstimateFile, plan: &Compensat
     let beyond = made.count(|point| !point.beyond.is_empty());
     if beyond > 0 {
         remarks.push(format!(
-            "extrapolated: {} outside the commands that were measured{}",
+            "extrapolated: {} outside the measured commands{}",
             points_are(beyond),
             farthest(made)
         ));
@@ -118,7 +120,8 @@ pub(super) fn remarks(made: &Compensation, file: &EstimateFile, plan: &Compensat
     let wavering = made.count(|point| point.wavers);
     if wavering > 0 {
         remarks.push(format!(
-            "at {} an actuator comes from another side with the corrected commands than they count on (marked wavers): there the terms of that side are off by what changes with it",
+            "at {} the corrected commands make an actuator arrive from another side than assumed (marked wavers): there, the \
+             terms that depend on that side are off by as much as they change with it",
             points(wavering)
         ));
     }
@@ -128,13 +131,14 @@ pub(super) fn remarks(made: &Compensation, file: &EstimateFile, plan: &Compensat
     let sides = plan.options.inverse.circumstances.approach.iter().any(|side| *side != 0);
     if turns && !sides && !made.is_path && made.asked > 0 {
         remarks.push(
-            "the estimate has terms that depend on the side of approach, which is not stated (--approach): they are taken in the middle between both sides"
+            "the estimate has terms that depend on the side of approach, which is not stated (--approach): the mean of both \
+             sides is used"
                 .to_owned(),
         );
     }
     if made.asked > 0 && made.points.iter().any(|point| point.point.is_some()) && made.sigmas().is_none() {
         remarks.push(
-            "the estimate has no covariance: how far corrected points are to be trusted is not known"
+            "the estimate has no covariance: the uncertainty of corrected points is unknown"
                 .to_owned(),
         );
     }
@@ -149,7 +153,7 @@ pub(super) fn remarks(made: &Compensation, file: &EstimateFile, plan: &Compensat
             .map(|(_, actuator)| actuator.name.as_str())
             .collect();
         if !without.is_empty() {
-            remarks.push(format!("no speed limit is known of {} (--speed-limits)", without.join(", ")));
+            remarks.push(format!("the speed limit of {} is unknown (--speed-limits)", without.join(", ")));
         }
     }
     let at_limit = made.corrected().filter(|(_, point)| !point.limits.is_empty()).count();

@@ -185,7 +185,7 @@ impl EstimateFile {
         let hash = model_sha256(&robot.nominal);
         if hash != file.robot.model_sha256 {
             let message = format!(
-                "the nominal model has the hash {hash}, and the estimate is of the model {}",
+                "the nominal model has the hash {hash}, but the estimate is of the model {}",
                 file.robot.model_sha256
             );
             return Err(refused(
@@ -234,7 +234,7 @@ impl EstimateFile {
 
 /// A model that an estimate is not of.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("the model has the hash {found}, and the estimate is of the model {expected}")]
+#[error("the model has the hash {found}, but the estimate is of the model {expected}")]
 pub struct AnotherModel {
     /// Of the model.
     pub found: String,

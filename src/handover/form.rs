@@ -283,7 +283,7 @@ impl Form {
             let unit = parameter.name.unit().to_string();
             if parameter.unit != unit {
                 let message = format!("{} has the unit {:?}", parameter.name, parameter.unit);
-                return Err(("parameters", message, format!("{unit:?}, in which its value is")));
+                return Err(("parameters", message, format!("{unit:?}, the unit of its value")));
             }
         }
         let estimated = |p: Parameter| ParameterEstimate {

@@ -29,7 +29,8 @@ pub enum HandoverError {
     Prediction(#[from] PredictionError),
     /// The robot cannot take most commands of the region.
     #[error(
-        "between the lowest and highest commands of the estimate's region the identified robot can take {found} of {wanted} poses{}",
+        "the identified robot can take only {found} of {wanted} poses between the lowest and highest commands of the \
+         estimate's region{}",
         .why.as_ref().map_or_else(String::new, |why| format!(" ({why})"))
     )]
     Region {
@@ -41,7 +42,7 @@ pub enum HandoverError {
         why: Option<Box<PredictionError>>,
     },
     /// The fit of offsets came to no numbers.
-    #[error("the fit of joint and tool offsets does not come to rest: the region's poses do not hold them")]
+    #[error("the fit of joint and tool offsets did not settle: the region's poses do not determine them")]
     Offsets,
     /// No robot file can hold the robot.
     #[error(transparent)]
@@ -197,14 +198,14 @@ fn remarks(estimate: &EstimateFile) -> Vec<String> {
     let mut remarks = vec![
         format!("The calibrated robot {}, mode {}, by {}.", estimate.robot.name, robot.mode.key(), estimate.software),
         format!("Nominal model {}.", estimate.robot.model_sha256),
-        "The whole estimate is in estimate.json beside this file: terms, tracker and covariance are there alone; stiffnesses, masses and the \
-         linkage are in robot.toml as well, and nothing elastic is in robot.urdf, the tables and the offsets."
+        "The whole estimate is in estimate.json next to this file: only there are terms, tracker and covariance; stiffnesses, \
+         masses and the linkage are also in robot.toml. robot.urdf, the tables and the offsets hold nothing elastic."
             .to_owned(),
     ];
     if robot.model.actuators.elbow().is_some() {
         remarks.push(
-            "The elbow is driven by a parallelogram: in robot.urdf and the tables it is a joint of its own, at what its motor commands less the \
-             shoulder. What the real lengths of the four-bar make otherwise is lost there."
+            "The elbow is driven by a parallelogram: in robot.urdf and the tables it is an ordinary joint, at its motor's \
+             command minus the shoulder's. The effect of the real lengths of the four-bar is lost there."
                 .to_owned(),
         );
         if !robot.mode.is_coupled() {

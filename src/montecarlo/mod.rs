@@ -62,7 +62,7 @@ pub struct Case<'a> {
 #[non_exhaustive]
 pub enum CaseError {
     /// The campaign has no trial of that number.
-    #[error("the campaign has {trials} trials, and no trial {trial}")]
+    #[error("the campaign has only {trials} trials, so there is no trial {trial}")]
     NoTrial {
         /// Asked for.
         trial: u64,
@@ -111,7 +111,7 @@ pub enum CampaignError {
     },
     /// Too many machines are impossible.
     #[error(
-        "{refused} of the first {drawn} machines that are drawn are impossible: their loops do not close"
+        "{refused} of the first {drawn} drawn machines are impossible: their loops do not close"
     )]
     TooManyMachines {
         /// So many.
@@ -276,7 +276,7 @@ impl<'a> Campaign<'a> {
     fn trial_or_fault(&self, index: u64) -> Trial {
         std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| self.trial(index))).unwrap_or_else(|fault| {
             let text = fault.downcast_ref::<String>().map(String::as_str);
-            let text = text.or_else(|| fault.downcast_ref::<&str>().copied()).unwrap_or("no reason is told");
+            let text = text.or_else(|| fault.downcast_ref::<&str>().copied()).unwrap_or("no reason is given");
             self.failed(index, 0, format!("a fault of this program, please report it: {text}"))
         })
     }

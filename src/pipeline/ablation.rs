@@ -90,7 +90,8 @@ impl Part {
             Self::Linkage => "the four-bar has the lengths of the model",
             Self::Geometry => "link parameters that are not identified have the values of the model",
             Self::Drives => {
-                "drives rigid in the machine, which so have no load that lost motion, friction or stiffening could depend on, and nothing predicted for them"
+                "drives rigid in the machine, so that they have no load on which lost motion, friction or stiffening could \
+                 depend; nothing predicted for them"
             }
             Self::Bearings => "bearings rigid in the machine, and nothing predicted for them",
             Self::Links => "links and rod rigid in the machine, and nothing predicted for them",
@@ -98,7 +99,7 @@ impl Part {
             Self::Tilt => "gravity has the direction of the model",
             Self::Loads => "only the loads of the model",
             Self::Instrument => {
-                "the tracker reads where the target is, and nests and target are where they are stated to be"
+                "the tracker reads exactly, and nests and target are exactly where they are stated to be"
             }
         }
     }

@@ -252,29 +252,31 @@ impl Names {
             Part::Convention { standard: true } => "the table read in the standard D-H convention".to_owned(),
             Part::Convention { .. } => "the table read in Craig's convention".to_owned(),
             Part::ToolLink { joint } => {
-                format!("the target moves with {}, and not with the joints behind it", self.joint(*joint))
+                format!("the target moves with {}, not with the joints after it", self.joint(*joint))
             }
             Part::ShiftedRows { by } => {
                 let (rows, side) =
                     (if by.abs() == 1 { "one row".to_owned() } else { format!("{} rows", by.abs()) }, if *by > 0 { "lower" } else { "higher" });
-                format!("the points stand {rows} {side} than their joints")
+                format!("the points are {rows} {side} their joints")
             }
             Part::ZenithElevation { .. } => "the angle from the zenith was read as an elevation, or the other way round".to_owned(),
             Part::AnglesExchanged { .. } => "azimuth and elevation exchanged".to_owned(),
             Part::Mirrored if self.is_spherical => {
-                "the points are a mirror image: the azimuth counted the other way fits, as x and y exchanged do".to_owned()
+                "the points are a mirror image: counting the azimuth the other way fits, as does exchanging x and y".to_owned()
             }
-            Part::Mirrored => "the points are a mirror image: x and y exchanged fits".to_owned(),
+            Part::Mirrored => "the points are a mirror image: exchanging x and y fits".to_owned(),
             Part::ExchangedRows { cycles } => {
                 let words = |cycle: &Vec<usize>| {
                     let rows = self.rows(cycle);
-                    if cycle.len() == 2 { format!("{rows} have each other's points") } else { format!("{rows} have the points of each other, in turn") }
+                    if cycle.len() == 2 { format!("{rows} have each other's points") } else { format!("{rows} have each \
+                                                                                                       other's points, in turn") }
                 };
                 cycles.iter().map(words).collect::<Vec<_>>().join("; ") + ": they are exchanged"
             }
             Part::GrossErrors { rows } => format!("{} off", self.far(rows)),
             Part::MissedShots { rows } => {
-                format!("no point that the robot could reach, by the distance from the middle of the others: {} (a code of shots that were missed?)", self.far(rows))
+                format!("no point that the robot could reach, by the distance from the middle of the others: {} (a code for \
+                         missed shots?)", self.far(rows))
             }
             Part::SeveralTargets { target, others } => format!(
                 "the points of {} are those of {} targets at different offsets: {} of another one",
@@ -300,14 +302,14 @@ impl Names {
                 if joints.len() > 1 {
                     format!("`revolute_unit = \"{unit}\"` in [joints] of the column map (`calibrig columns suggest` writes one)")
                 } else {
-                    format!("the unit of the column of {} is {unit}: convert it, or say so in the column map", self.joints(joints))
+                    format!("the unit of the column of {} is {unit}: convert it, or state the unit in the column map", self.joints(joints))
                 }
             }
             Part::TravelUnit { factor, .. } => {
-                format!("`prismatic_unit` in [joints] of the column map: one that is {} times as large", number(*factor))
+                format!("a `prismatic_unit` in [joints] of the column map that is {} times as large", number(*factor))
             }
             Part::PointUnit { factor } => format!(
-                "{} in [position] of the column map: one that is {} times as large",
+                "a {} in [position] of the column map that is {} times as large",
                 if self.is_spherical { "`range_unit`" } else { "`unit`" },
                 number(*factor)
             ),
@@ -317,7 +319,8 @@ impl Names {
             }
             Part::Sign { joint } => {
                 let joint = self.joint(*joint);
-                format!("a minus in front of the column of {joint} in `columns` of the column map, as \"-{joint}\", or none where one stands there; or `shown = {{ sign = -1 }}` of {joint} in the robot's file")
+                format!("a minus in front of the column of {joint} in `columns` of the column map, as \"-{joint}\", or remove \
+                         the one that is there; or `shown = {{ sign = -1 }}` of {joint} in the robot's file")
             }
             Part::Offset { joint, quarters } => {
                 self.zero(*joint, f64::from(*quarters))
@@ -340,7 +343,7 @@ impl Names {
                 format!("`convention = \"{}\"` in the robot's file", if *standard { "standard" } else { "craig" })
             }
             Part::ToolLink { joint } => format!(
-                "a robot's file that ends with [[joint]] {}, and a column map without the columns of the joints behind it",
+                "a robot's file that ends with [[joint]] {}, and a column map without the columns of the joints after it",
                 self.joint(*joint)
             ),
             Part::ShiftedRows { by } => format!("--shift-points {by}"),
@@ -352,7 +355,8 @@ impl Names {
                 "a minus in front of the column of the azimuth, or of the elevation, in [position] of the column map".to_owned()
             }
             Part::Mirrored => {
-                "exchange the columns of x and y in [position] of the column map, or turn the sign of one axis, as `z = [\"-Z\"]`; of a file of angles, a minus in front of the column of the azimuth".to_owned()
+                "exchange the columns of x and y in [position] of the column map, or reverse the sign of one axis, as in `z = \
+                 [\"-Z\"]`; for a file of angles, a minus in front of the column of the azimuth".to_owned()
             }
             Part::ExchangedRows { .. } => format!(
                 "exchange their points in the file, or --leave-out {}",
@@ -363,7 +367,7 @@ impl Names {
             }
             Part::MissedShots { .. } => format!("--leave-out {}, or state the code of a missed shot in the column map", self.listed(&part.rows())),
             Part::SeveralTargets { .. } => {
-                "name them in a column, and the column as `target` in [columns] of the column map".to_owned()
+                "name them in a column, and state that column as `target` in [columns] of the column map".to_owned()
             }
             _ => "check how the file is read".to_owned(),
         }
@@ -373,29 +377,31 @@ impl Names {
     pub fn undetermined(&self, what: &Undetermined) -> String {
         match what {
             Undetermined::NeverMoved { joints } => format!(
-                "{} never moved: sign, unit, order and zero of {} cannot be told, nor which of its links are off",
+                "{} never moved: sign, unit, order and zero of {} cannot be determined, nor errors of the links",
                 self.joints(joints),
                 if joints.len() == 1 { "it" } else { "these" }
             ),
             Undetermined::FewPoses { distinct, needed } => format!(
-                "{} fewer than {needed}, tracker and target alone explain nearly whatever was measured, and no convention can be told",
-                if *distinct == 1 { "all poses are one:".to_owned() } else { format!("{distinct} poses that differ:") }
+                "{} fewer than {needed}: tracker and target alone explain nearly all measurements, so no convention can be \
+                 checked",
+                if *distinct == 1 { "all poses are the same one:".to_owned() } else { format!("{distinct} different poses:") }
             ),
             Undetermined::EqualPoses { poses, observations } => format!(
-                "{poses} {} measured more than once ({observations} readings): repeats tell of the repeatability, not of the robot",
+                "{poses} {} measured more than once ({observations} readings): repeats show the repeatability, not the robot",
                 if *poses == 1 { "pose was" } else { "poses were" }
             ),
             Undetermined::Line => {
-                "all points are on one line: neither the tracker's turn about it nor what is beside it can be told".to_owned()
+                "all points are on one line: neither the tracker's turn about it nor anything across it can be determined".to_owned()
             }
             Undetermined::Plane => {
-                "all points are in one plane: a mirror image cannot be told from none, nor what is along its normal".to_owned()
+                "all points are in one plane: neither a mirror image nor anything along its normal can be determined".to_owned()
             }
             Undetermined::Sphere { radius } => format!(
-                "all points are on one sphere of radius {}: what is in front of its centre cannot be told, nor tracker from base",
+                "all points are on one sphere of radius {}: neither what is in front of its centre nor the tracker's place \
+                 relative to the base can be determined",
                 mm(*radius)
             ),
-            _ => "something that the session does not tell".to_owned(),
+            _ => "something that the session does not show".to_owned(),
         }
     }
 }

@@ -69,7 +69,7 @@ fn beyond_words(beyond: &BeyondLimits, links: &[CraigLink]) -> String {
     };
     let range = |[low, high]: [f64; 2]| format!("{:.0} to {:.0} {unit}", factor * low, factor * high);
     let (reached, limits) = (range(beyond.reached), range(beyond.limits));
-    format!("joint {}: the commands take it to {reached}, its limits are {limits}", link.name)
+    format!("joint {}: the commands take it to {reached}, but its limits are {limits}", link.name)
 }
 
 impl Implausible {
@@ -97,7 +97,8 @@ impl Implausible {
         let mut help: Vec<String> = Vec::new();
         if !found.unreachable.is_empty() {
             help.push(
-                "a code of shots that were missed? Name it (`--missed CODE`, or `missed` in [position] of the column map): no loss can weigh such a point"
+                "a code for missed shots? Name it (`--missed CODE`, or `missed` in [position] of the column map): no loss can \
+                 handle such a point"
                     .to_owned()
                     + &found.rms.map_or_else(String::new, |rms| {
                         format!(" (without them the nominal robot leaves an RMS of {})", mm(rms))
@@ -145,8 +146,8 @@ impl fmt::Display for Implausible {
         let rms = found.rms.unwrap_or_default();
         write!(
             f,
-            "the nominal robot does not lie on the points: with tracker and target fitted, it leaves an RMS of {}, {:.0} % of their \
-             spread ({})",
+            "the nominal robot does not fit the points: with tracker and target fitted, it leaves an RMS of {}, {:.0} % of \
+             their spread ({})",
             mm(rms),
             1e2 * found.share.unwrap_or_default(),
             mm(found.spread)

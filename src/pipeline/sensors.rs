@@ -7,8 +7,8 @@ pub use foreseen::{SensorProspect, SensorStudy, foresee_sensors};
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
 use super::{CalibrateError, PipelineError, PlantKind, simulate};
-use calibrig_estimation::calibration::{errors, turns};
 use crate::scenario::Scenario;
+use calibrig_estimation::calibration::{errors, turns};
 use calibrig_estimation::evaluation::{accuracy, orientation_accuracy};
 use calibrig_estimation::identification::{IdentificationOptions, Mode, identify};
 use calibrig_model::ParameterId;

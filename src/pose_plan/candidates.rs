@@ -23,7 +23,7 @@ impl CandidateSource {
     /// In words.
     pub fn words(&self) -> &'static str {
         match self {
-            Self::WholeSpace => "the whole space of the joints",
+            Self::WholeSpace => "the whole joint space",
             Self::Region => "the working region",
             Self::Listed(_) => "the listed candidates",
         }
@@ -46,7 +46,7 @@ pub struct Region {
 impl Region {
     /// All that the robot can take.
     pub fn whole() -> Self {
-        Self { sides: None, name: "the whole space of the joints".to_owned() }
+        Self { sides: None, name: "the whole joint space".to_owned() }
     }
 
     /// Whether it is only a part of what the robot can take.

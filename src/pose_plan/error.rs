@@ -21,7 +21,7 @@ pub enum PosePlanError {
     Robot(#[from] PredictionError),
     /// Too few poses are left.
     #[error(
-        "{kept} of {drawn} candidate poses can be measured, and {wanted} are to be chosen{}",
+        "{kept} of {drawn} candidate poses can be measured, but {wanted} are to be chosen{}",
         reasons(refused)
     )]
     TooFew {
@@ -36,7 +36,7 @@ pub enum PosePlanError {
     },
     /// Numbers of poses end.
     #[error(
-        "pose numbers leave no room for {count} more: the next would be {next}, and they end at {}",
+        "pose numbers leave no room for {count} more: the next would be {next}, but the last possible is {}",
         u32::MAX
     )]
     NoNumbers {
@@ -46,7 +46,7 @@ pub enum PosePlanError {
         count: usize,
     },
     /// A region of another robot.
-    #[error("the region has {sides} sides, and the robot {joints} joints")]
+    #[error("the region has {sides} sides, but the robot has {joints} joints")]
     Region {
         /// Of the region.
         sides: usize,
@@ -55,7 +55,7 @@ pub enum PosePlanError {
     },
     /// No pose where the robot is to work.
     #[error(
-        "none of {looked} poses of the working region can be taken by the nominal robot{}",
+        "the nominal robot can take none of {looked} poses of the working region{}",
         reasons(refused)
     )]
     NoRegion {
@@ -87,19 +87,21 @@ impl PosePlanError {
                 "expected more candidates (--candidates), fewer poses, another place of the tracker, or less --clearance-mm"
             }
             Self::NoRegion { .. } => {
-                "expected a region that the robot can work in: look at its limits and shapes"
+                "expected a region in which the robot can work: check its limits and shapes"
             }
-            Self::NoNumbers { .. } => "expected lower pose numbers in what was measured: counted from 1, say",
+            Self::NoNumbers { .. } => "expected lower pose numbers in the measurements, for example counted from 1",
             Self::Region { .. } => "expected the lowest and the highest variable of every joint",
             Self::OutOfReach { .. } => {
-                "expected a larger --accuracy, or --poses N for the best that so many tell; see the curve of calibrig plan --poses N"
+                "expected a larger --accuracy, or --poses N for the best accuracy with that number; see the curve of calibrig \
+                 plan --poses N"
             }
             Self::Plan(PlanError::NoNoise { .. }) => {
                 "expected readings that state their uncertainty, or --tracker or --noise-um"
             }
             Self::Plan(PlanError::TooFewPoses { .. }) => "expected more poses (--poses), or a prior",
             Self::Plan(PlanError::Singular { .. }) => {
-                "expected more or other poses, a prior (--tolerance-mm, --tolerance-mrad), or fewer parameters; `calibrig identifiability` says what the poses tell"
+                "expected more or other poses, a prior (--tolerance-mm, --tolerance-mrad), or fewer parameters; `calibrig \
+                 identifiability` says what the poses determine"
             }
             _ => "see the reason",
         }

@@ -64,12 +64,12 @@ impl fmt::Display for Refused {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Limits(joint) => write!(f, "{joint} is beyond its limits"),
-            Self::NoRest => f.write_str("the linkage does not close, or the robot comes to no rest"),
+            Self::NoRest => f.write_str("the linkage does not close, or the robot does not come to rest"),
             Self::Touches(one, other) => write!(f, "{one} touches {other}"),
             Self::Floor(part) => write!(f, "{part} is below the floor, or near it"),
-            Self::Range => f.write_str("the target is too near to the tracker, or too far from it"),
-            Self::Angles => f.write_str("the target is beyond the tracker's angles"),
-            Self::Turned => f.write_str("the reflector looks away from the tracker"),
+            Self::Range => f.write_str("the target is too close to the tracker, or too far from it"),
+            Self::Angles => f.write_str("the target is outside the tracker's angles"),
+            Self::Turned => f.write_str("the reflector faces away from the tracker"),
             Self::HiddenBy(link) => write!(f, "{link} hides the target"),
             Self::HiddenByFloor => f.write_str("the floor hides the target"),
         }

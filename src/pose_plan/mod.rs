@@ -185,7 +185,7 @@ pub fn plan(
         let refused = found.refused_words();
         return Err(PosePlanError::TooFew { kept: found.kept.len(), drawn: found.looked, wanted, refused });
     }
-    tell("predicting what they would tell");
+    tell("predicting their information");
     let count = request.poses.unwrap_or(request.most.min(60));
     let commands: Vec<Vec<f64>> =
         region.iter().map(|own| cell.model.actuators.command_from_joints(&own.joints)).collect();
@@ -210,7 +210,7 @@ pub fn plan(
         choose(&spaces, &choice)
     });
     let chosen = chosen.transpose()?;
-    tell("looking at other numbers of poses");
+    tell("trying other numbers of poses");
     let growth = growth(&spaces, &choice, request)?;
     let needed = match request.accuracy {
         Some(accuracy) => Some(growth.needed(accuracy, |spread| request.figure.of(spread))?),
@@ -229,7 +229,7 @@ pub fn plan(
         Ok(random) => (random, None),
         Err(why) => (Vec::new(), Some(format!("the plan is not compared with random poses: {why}"))),
     };
-    tell("putting them in order");
+    tell("ordering the poses");
     let (order, approaches, change) =
         in_order(cell, request, &session, &spaces[0], &design, (&found.kept, first))?;
     let place = |candidate: &usize| session.candidates()[*candidate].saturating_sub(first) as usize;
@@ -409,7 +409,7 @@ fn as_drawn(
     let mut all: Vec<Candidate> = Vec::new();
     for trial in 0..DRAWS {
         let drawn = drawn_in(cell, robot, 2 * count, request.seed, trial).map_err(|why| why.to_string())?;
-        all.extend(drawn.ok_or("hardly any pose that is drawn in the region can be measured")?);
+        all.extend(drawn.ok_or("hardly any pose drawn in the region can be measured")?);
     }
     let space = || -> Result<_, PosePlanError> {
         let (set, measured) = cell.set_of(&all, count)?;
@@ -439,7 +439,7 @@ fn as_drawn(
         AsDrawn { poses: number, draws: DRAWS, values, of_parameters }
     };
     let told: Vec<_> = [count, 2 * count].map(of).into_iter().filter(|own| !own.values.is_empty()).collect();
-    if told.is_empty() { Err("none of the draws tells all parameters".to_owned()) } else { Ok(told) }
+    if told.is_empty() { Err("none of the draws determines all parameters".to_owned()) } else { Ok(told) }
 }
 
 type InOrder = (Vec<usize>, Vec<Vec<i8>>, OrderChange);
@@ -483,20 +483,20 @@ fn remarks(
     let mut remarks = Vec::new();
     if matches!(request.source, CandidateSource::WholeSpace) && cell.region.is_part() {
         remarks.push(
-            "candidates come from the whole space of the joints, which tells most where the model holds everywhere; what the machine does beside its model can make poses outside the \
-             region worse than none (--candidates-in-region)"
+            "candidates come from the whole joint space, which is most informative if the model holds everywhere; errors of \
+             the machine outside its model can make poses outside the region do more harm than good (--candidates-in-region)"
                 .to_owned(),
         );
     }
     let (rows, parameters) = (count * space.most_rows(), space.parameters().len());
     if rows < parameters && cell.before.is_none() {
         remarks.push(format!(
-            "{count} poses have {rows} coordinates for {parameters} parameters: the rest is left to what is known beforehand"
+            "{count} poses have {rows} coordinates for {parameters} parameters: priors have to determine the rest"
         ));
     }
     if found.kept.len() < request.candidates && request.source.is_drawn() {
         remarks.push(format!(
-            "{} candidates can be measured of {} that were looked at: fewer than the {} asked for",
+            "{} candidates can be measured of {} that were tried: fewer than the {} asked for",
             found.kept.len(),
             found.looked,
             request.candidates
@@ -504,18 +504,18 @@ fn remarks(
     }
     if cell.around.trackers.is_empty() {
         remarks.push(
-            "where the tracker stands is not known: every pose is taken as seen (--tracker-mm states its place)".to_owned(),
+            "the tracker's place is unknown: every pose is taken as visible (--tracker-mm states the place)".to_owned(),
         );
     } else if cell.around.hides.is_none() {
         remarks.push("lines of sight are taken as free, and reflectors as turned to the tracker".to_owned());
     }
     if !cell.around.obstacles.has_links() {
-        remarks.push("nothing is known of the links' shapes: they touch nothing and hide nothing".to_owned());
+        remarks.push("the shapes of the links are unknown: they touch nothing and hide nothing".to_owned());
     } else if cell.around.obstacles.is_chain() {
-        remarks.push("the links are taken as capsules along the chain, as no shapes are known".to_owned());
+        remarks.push("the links are taken as capsules along the chain, because their shapes are unknown".to_owned());
     }
     if cell.around.obstacles.floor().is_none() {
-        remarks.push("no floor is stated: poses are not kept off it".to_owned());
+        remarks.push("no floor is stated: poses may be below it (--floor-mm)".to_owned());
     }
     if let Readings::Scenario(scenario) = &cell.readings
         && !scenario.plan.payloads.payloads.is_empty()

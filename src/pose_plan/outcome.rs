@@ -213,13 +213,13 @@ pub(super) fn needed_words(needed: &Needed) -> String {
     let mm = |metres: &f64| format!("{:.4} mm", 1e3 * metres);
     match needed {
         Needed::BelowMachine { floor } => {
-            format!("what the machine does beside its model, pose by pose, is {} by itself", mm(floor))
+            format!("the machine's own random error, pose by pose, is already {}", mm(floor))
         }
         Needed::BelowCandidates { floor } => {
-            format!("all candidates together, measured as often as one likes, end at {}", mm(floor))
+            format!("all candidates together, measured any number of times, end at {}", mm(floor))
         }
         Needed::MoreThan { count, reached } => {
-            format!("{count} poses, the most that were looked at, reach {}", mm(reached))
+            format!("{count} poses, the most that were tried, reach {}", mm(reached))
         }
         _ => "enough poses were found".to_owned(),
     }
@@ -238,7 +238,7 @@ fn write_csv(plan: &PosePlan, text: &mut String) -> std::fmt::Result {
     writeln!(text, "# calibrig plan: commands in the order in which the poses are driven")?;
     writeln!(
         text,
-        "# add what was measured as columns of their own and give the file to calibrig identify (docs/formats.md)"
+        "# add the measured values as further columns and give the file to calibrig identify (docs/formats.md)"
     )?;
     write!(text, "pose")?;
     for (number, joint) in joints.iter().enumerate() {

@@ -134,18 +134,19 @@ pub(super) fn as_built(
         None => {
             return Err(missing(
                 "masses, drive stiffnesses and gravity",
-                "a URDF with inertials (or [joint.body]), stiffness_* of every joint and [gravity]; or drives = \"rigid\" in [as_built], with which nothing yields",
+                "a URDF with inertials (or [joint.body]), stiffness_* of every joint and [gravity]; or drives = \"rigid\" in \
+                 [as_built], so that nothing deflects",
             ));
         }
     };
     if robot.targets.len() > 1 {
         let message =
-            format!("the robot's file states {} targets, and a simulation measures one", robot.targets.len());
+            format!("the robot's file states {} targets, but a simulation measures only one", robot.targets.len());
         return Err(source.error(
             robot_key.span(),
             message,
             Some(
-                "expected one [target] in the robot's file, or the one that is measured as [target] here"
+                "expected one [target] in the robot's file, or the measured one as [target] here"
                     .to_owned(),
             ),
         ));
@@ -316,7 +317,7 @@ impl Reader<'_> {
     fn check_closing(&self, machine: &AsBuilt, place: Range<usize>, key: &str) -> Result<(), InputError> {
         match linkage_fault(&machine.kinematics, &machine.actuators) {
             Some(fault) => {
-                let expected = "errors with which it works between the elbow's limits";
+                let expected = "errors with which the linkage closes between the elbow's limits";
                 Err(self.error(place, format!("{key}: {fault}"), expected))
             }
             None => Ok(()),
@@ -342,7 +343,7 @@ impl Reader<'_> {
             match value {
                 // Wider, it would reach zero.
                 Some(value) if size > largest => {
-                    let expected = format!("at most {largest} of this distribution");
+                    let expected = format!("at most {largest} for this distribution");
                     Err(self.error(value.span(), format!("{key} is {size}"), &expected))
                 }
                 _ => Ok(size),
@@ -402,7 +403,7 @@ impl Reader<'_> {
                     _ => Err(refused(format!("{name} is not a link parameter of this robot"))),
                 })
                 .collect(),
-            other => Err(refused(format!("{other} is no choice"))),
+            other => Err(refused(format!("{other} is not a valid choice"))),
         }
     }
 
@@ -433,7 +434,7 @@ impl Reader<'_> {
                     _ => Err(refused(format!("{name} is not a compliance of this robot"))),
                 })
                 .collect(),
-            other => Err(refused(format!("{other} is no choice"))),
+            other => Err(refused(format!("{other} is not a valid choice"))),
         }
     }
 
@@ -476,7 +477,7 @@ impl Reader<'_> {
                 keys.into_iter().flatten().map(Spanned::span).next().unwrap_or(table.span())
             };
             if !positive {
-                let message = "linkage_mm: a drawn crank, lever or rod can have no length".to_owned();
+                let message = "linkage_mm: a drawn crank, lever or rod could have length zero".to_owned();
                 return Err(self.error(place(), message, "less than their lengths"));
             }
             self.check_closing(

@@ -174,10 +174,10 @@ impl CampaignPlan {
 
     fn unit_in_words(&self) -> &'static str {
         match self.layout {
-            Layout::Plain => "one a draw",
+            Layout::Plain => "one per draw",
             Layout::Sweep => "one for every combination of levels",
-            Layout::Indices => "two and one a factor, the draws counted as one",
-            Layout::Screening => "one and one a factor",
+            Layout::Indices => "one per factor and two more, with the draws counted as one",
+            Layout::Screening => "one per factor and one more",
         }
     }
 }
@@ -279,7 +279,7 @@ pub(super) fn campaign(source: &Source, section: &Spanned<CampaignFile>) -> Resu
     };
     refuse_shared(source, &file.factor, &plan.factors)?;
     if plan.layout != Layout::Plain && plan.factors.is_empty() {
-        let help = "expected a [[campaign.factor]] with a key of this file and what it can be, or design = \"plain\"";
+        let help = "expected a [[campaign.factor]] with a key of this file and its values, or design = \"plain\"";
         return Err(source.error(section.span(), "campaign: nothing varies", Some(help.to_owned())));
     }
     if let Err(expected) = plan.design(None) {
@@ -306,7 +306,7 @@ fn size(source: &Source, file: &CampaignFile) -> Result<Option<u64>, InputError>
         let refused = |message: String, help: String| Err(source.error(value.span(), message, Some(help)));
         if layout != file.design {
             let help = format!("expected design = \"{design}\", or no {key}");
-            return refused(format!("campaign.{key} is of another design"), help);
+            return refused(format!("campaign.{key} belongs to another design"), help);
         }
         if *value.get_ref() == 0 {
             return refused(format!("campaign.{key} is 0"), "expected 1 or more".to_owned());
@@ -316,7 +316,7 @@ fn size(source: &Source, file: &CampaignFile) -> Result<Option<u64>, InputError>
     match &file.levels {
         Some(levels) if file.design != Layout::Screening => {
             let help = "expected design = \"screening\", or levels in a [[campaign.factor]]";
-            Err(source.error(levels.span(), "campaign.levels is of another design", Some(help.to_owned())))
+            Err(source.error(levels.span(), "campaign.levels belongs to another design", Some(help.to_owned())))
         }
         _ => Ok(size),
     }
@@ -332,7 +332,7 @@ fn factor(source: &Source, layout: Layout, entry: &Spanned<FactorFile>) -> Resul
         (None, Some(keys)) if !keys.get_ref().is_empty() => keys.get_ref().iter().collect(),
         _ => {
             let help = "expected key = \"...\", or keys = [\"...\", \"...\"] of values that change together, such as \"tracker.random_fraction\"";
-            return refused(entry.span(), "campaign.factor: which value varies?".to_owned(), help);
+            return refused(entry.span(), "campaign.factor: it does not state which value varies".to_owned(), help);
         }
     };
     for key in &keys {
@@ -345,12 +345,12 @@ fn factor(source: &Source, layout: Layout, entry: &Spanned<FactorFile>) -> Resul
         }
         (None, Some(name)) => {
             let help = "expected levels = [...] in a sweep";
-            return refused(name.span(), "campaign.factor has a distribution".to_owned(), help);
+            return refused(name.span(), "campaign.factor has a distribution, but a sweep needs levels".to_owned(), help);
         }
         _ => {
             let help = "expected levels = [...], or distribution = \"uniform\" with low and high; \"log_uniform\", \"normal\" with mean and sigma, \
                         \"lognormal\" with median and sigma_ln, \"triangular\" with low, mode and high";
-            return refused(entry.span(), "campaign.factor: what can it be?".to_owned(), help);
+            return refused(entry.span(), "campaign.factor: it states no values".to_owned(), help);
         }
     };
     let keys: Vec<String> = keys.into_iter().map(|key| key.get_ref().clone()).collect();
@@ -386,15 +386,16 @@ fn check_key(source: &Source, key: &Spanned<String>, file: &FactorFile) -> Resul
     match places.len() {
         0 => refused(
             format!("campaign.factor: this file has no value of {name}"),
-            "expected a key that stands in this file, which the values then take the place of: write it with its usual value first; a table of an \
-             array is chosen in brackets, such as as_built.joint[rail].delta_d_mm"
+            "expected a key that is in this file, whose value is then replaced: write it with its usual value first; choose \
+             one table of an array in brackets, such as as_built.joint[rail].delta_d_mm"
                 .to_owned(),
         ),
         1 => Ok(()),
         _ if file.scale => Ok(()),
         count => refused(
             format!("campaign.factor: this file has {count} values of {name}"),
-            "expected which one in brackets, by its number or its name, such as poses.region[rail].half_width_mm; or scale = true, which multiplies all"
+            "expected one of them chosen in brackets, by its number or its name, such as poses.region[rail].half_width_mm; or \
+             scale = true, which multiplies all"
                 .to_owned(),
         ),
     }?;
@@ -415,7 +416,7 @@ fn literals(
     file: &FactorFile,
 ) -> Result<Vec<String>, InputError> {
     if levels.get_ref().is_empty() {
-        let help = Some("expected one value or more".to_owned());
+        let help = Some("expected at least one value".to_owned());
         return Err(source.error(levels.span(), "campaign.factor.levels is empty", help));
     }
     let mut literals = Vec::new();
@@ -435,7 +436,7 @@ fn literals(
             return Err(source.error(level.span(), message, help));
         }
         if literals.contains(&literal) {
-            let help = Some("expected every level once".to_owned());
+            let help = Some("expected every level only once".to_owned());
             return Err(source.error(level.span(), format!("campaign.factor.levels: {literal} twice"), help));
         }
         literals.push(literal);
@@ -500,7 +501,7 @@ fn distribution(
         }
     }
     distribution.check().map_err(|error| {
-        let help = Some("expected figures of a distribution that there is".to_owned());
+        let help = Some("expected parameters of the distribution that is stated".to_owned());
         source.error(name.span(), format!("campaign.factor: {error}"), help)
     })?;
     Ok(distribution)
@@ -519,14 +520,14 @@ fn refuse_shared(
             |message: String, help: &str| Err(source.error(entry.span(), message, Some(help.to_owned())));
         if !names.insert(&factor.name) {
             let message = format!("campaign: two factors are called \"{}\"", factor.name);
-            return refused(message, "expected names of their own");
+            return refused(message, "expected different names");
         }
         for place in factor.keys.iter().flat_map(|key| source.places_of(key)) {
             if let Some((_, other)) =
                 seen.iter().find(|(taken, _)| taken.start < place.end && place.start < taken.end)
             {
                 let message = format!("campaign: \"{other}\" and \"{}\" change the same value", factor.name);
-                return refused(message, "expected one factor a value");
+                return refused(message, "expected only one factor per value");
             }
             seen.push((place, &factor.name));
         }

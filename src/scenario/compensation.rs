@@ -84,12 +84,12 @@ pub(super) fn compensation(
 ) -> Result<CompensationPlan, InputError> {
     let file = section.get_ref();
     if !modes.contains(&Mode::WithoutCalibration) {
-        let help = "expected \"without_calibration\" among identification.modes: its commands are the ones that are corrected".to_owned();
+        let help = "expected \"without_calibration\" among identification.modes: its commands are those that are corrected".to_owned();
         let message = "[compensation] without the nominal robot's row";
         return Err(source.error(section.span(), message, Some(help)));
     }
     if verification_poses == 0 {
-        let help = "expected poses.verification of one or more: the goals are where the nominal robot is at these poses".to_owned();
+        let help = "expected poses.verification of one or more: the goals are the places of the nominal robot at these poses".to_owned();
         return Err(source.error(
             section.span(),
             "[compensation] without a pose to verify it at",
@@ -116,7 +116,7 @@ pub(super) fn compensation(
         if (3..=MOST_CYCLES).contains(&count) {
             return Ok(count);
         }
-        let help = Some(format!("expected 3 to {MOST_CYCLES} cycles; ISO 9283 has 30"));
+        let help = Some(format!("expected 3 to {MOST_CYCLES} cycles; ISO 9283 asks for 30"));
         Err(source.error(cycles.span(), format!("compensation.pose_test_cycles is {count}"), help))
     });
     Ok(CompensationPlan {
@@ -145,7 +145,7 @@ fn criterion(
     if criterion.deflection > 0.0 && robot.model.statics.is_none() {
         let help = Some("expected these in the robot's file, or another criterion".to_owned());
         let message = format!(
-            "compensation.{key} asks for the least deflection, and the robot's file states no masses and stiffnesses"
+            "compensation.{key} asks for the least deflection, but the robot's file states no masses and stiffnesses"
         );
         return Err(source.error(text.span(), message, help));
     }
@@ -189,7 +189,7 @@ fn path(source: &Source, table: &Spanned<PathFile>, goal: GoalKind) -> Result<Pa
         GoalKind::Axis | GoalKind::Pose => goals,
     };
     ToolPath::at_speed(&goals, speed).map_err(|error| {
-        refused(format!("compensation.path: {error}"), "expected a panel of four corners that are apart")
+        refused(format!("compensation.path: {error}"), "expected a panel whose four corners differ")
     })?;
     Ok(PathPlan { goals, speed })
 }

@@ -20,8 +20,8 @@ use super::session::{Around, SessionFile, session};
 use calibrig_estimation::identification::{FrameChoice, IdentificationOptions};
 use calibrig_files::{InputError, PayloadTable, Source, Spanned};
 use calibrig_files::{Robot, StatedTarget, load_robot};
-use calibrig_model::{KinematicModel, STANDARD_GRAVITY};
 use calibrig_model::measurement::SetKind;
+use calibrig_model::{KinematicModel, STANDARD_GRAVITY};
 use calibrig_plant::AsBuilt;
 use calibrig_plant::session::SessionPlan;
 use calibrig_plant::tracker::{Conditions, LaserTracker, Outliers, Probe, TrackerError};
@@ -249,7 +249,7 @@ fn gravity(source: &Source, table: &Spanned<GravityFile>) -> Result<Vector3<f64>
     if (0.1..=100.0).contains(&gravity.norm()) {
         return Ok(gravity);
     }
-    let help = "expected 0.1 to 100 m/s² in all, such as 0, 0 and -9.80665 of a base that stands upright";
+    let help = "expected 0.1 to 100 m/s² in all, such as 0, 0 and -9.80665 for a base that stands upright";
     Err(source.error(table.span(), format!("gravity is {} m/s²", gravity.norm()), Some(help.to_owned())))
 }
 
@@ -271,7 +271,7 @@ fn validate(
     named: Named<'_>,
 ) -> Result<Scenario, InputError> {
     if file.name.get_ref().trim().is_empty() {
-        let help = Some("expected a name for people".to_owned());
+        let help = Some("expected a name that is not empty".to_owned());
         return Err(source.error(file.name.span(), "name is empty", help));
     }
     let gravity = file.gravity.as_ref().map(|table| gravity(&source, table)).transpose()?;
@@ -372,8 +372,8 @@ fn swept(source: &Source, options: &IdentificationOptions, plan: &SessionPlan) -
     if options.frame != FrameChoice::Sweeps || joints.len() >= 2 {
         return Ok(());
     }
-    let message = format!("frame is \"sweeps\", and {} joints are swept", joints.len());
-    let help = "expected a [[session.sweep]] of each of two joints whose axes are not parallel, such as those of rail and waist";
+    let message = format!("frame is \"sweeps\", but {} joints are swept", joints.len());
+    let help = "expected a [[session.sweep]] for each of two joints whose axes are not parallel, such as rail and waist";
     Err(source.error(source.place_of("identification.frame"), message, Some(help.to_owned())))
 }
 
@@ -402,7 +402,7 @@ pub(super) fn refuse_twice(
         return Err(source.error(
             name.span(),
             format!("joint \"{}\" is given twice", name.get_ref()),
-            Some("expected one entry a joint".to_owned()),
+            Some("expected one entry per joint".to_owned()),
         ));
     }
     Ok(())
@@ -436,7 +436,8 @@ fn tracker(
     if let Err(error) = tracker.drawn(seed, 0, 0, 0.0) {
         let key = file.systematic_fraction.as_ref().or(file.random_fraction.as_ref());
         let place = key.map_or(section.span(), Spanned::span);
-        let help = "expected figures of an instrument that is within what it is permitted: random_fraction 0.125 and systematic_fraction 0.2 are usual";
+        let help = "expected figures of an instrument within its permissible errors: random_fraction 0.125 and \
+                    systematic_fraction 0.2 are usual";
         return Err(source.error(place, format!("tracker: {error}"), Some(help.to_owned())));
     }
     Ok(tracker)
@@ -531,7 +532,7 @@ fn nests(
         let name = nest.name.get_ref();
         let place = point(source, "tracker.nest.", [&nest.x_mm, &nest.y_mm, &nest.z_mm])?;
         if nests.iter().any(|(other, _)| other == name) {
-            let help = Some("expected a name of its own".to_owned());
+            let help = Some("expected a different name for each nest".to_owned());
             return Err(source.error(nest.name.span(), format!("a second nest \"{name}\""), help));
         }
         sees(source, entry.span(), tracker, ("the tracker", name, place))?;

@@ -163,7 +163,7 @@ impl BoundFile {
         let id = ParameterId::parse(name).ok_or_else(|| {
             source.error(
                 self.parameter.span(),
-                format!("identification.bound.parameter is \"{name}\", which is no parameter's name"),
+                format!("identification.bound.parameter is \"{name}\", which is not the name of a parameter"),
                 Some(format!("expected {}", ParameterId::EXAMPLES)),
             )
         })?;
@@ -254,7 +254,7 @@ impl IdentificationFile {
                     let known = links.iter().filter(|link| link.kind == kind).map(|link| link.name.as_str());
                     let known = known.collect::<Vec<_>>().join(", ");
                     let help = Some(format!("expected some of: {known}"));
-                    let text = format!("identification.{key}: no actuator of that unit is called \"{name}\"");
+                    let text = format!("identification.{key}: no actuator with this unit is named \"{name}\"");
                     return Err(source.error(sigma.span(), text, help));
                 };
                 sigmas[place] = size * source.not_negative(&format!("identification.{key}.{name}"), sigma)?;
@@ -269,7 +269,7 @@ impl IdentificationFile {
             _ if any => Err(source.error(
                 choice.span(),
                 "identification.machine_noise leaves to the fit what actuator_sigma_* states",
-                Some("expected \"stated\" beside standard deviations of actuators".to_owned()),
+                Some("expected machine_noise = \"stated\" with standard deviations of actuators".to_owned()),
             )),
             MachineNoiseFile::AsNeeded => Ok(MachineNoiseChoice::AsNeeded),
             MachineNoiseFile::Estimated => Ok(MachineNoiseChoice::Estimated),
@@ -282,7 +282,7 @@ impl IdentificationFile {
             |mode: &Mode| bends || matches!(mode, Mode::WithoutCalibration | Mode::OnlyCalibration);
         let Some(modes) = &self.modes else { return Ok(Mode::ALL.into_iter().filter(possible).collect()) };
         if modes.get_ref().is_empty() {
-            let help = Some("expected at least one mode, or no key modes for all of them".to_owned());
+            let help = Some("expected at least one mode; leave the key modes out for all of them".to_owned());
             return Err(source.error(modes.span(), "identification.modes is empty", help));
         }
         let wanted = |mode: &Mode| modes.get_ref().iter().any(|f| Mode::from(*f) == *mode);
@@ -399,7 +399,7 @@ impl IdentificationFile {
             ParameterId::parse(name.get_ref()).ok_or_else(|| {
                 source.error(
                     name.span(),
-                    format!("identification.{key}: \"{}\" is no parameter's name", name.get_ref()),
+                    format!("identification.{key}: \"{}\" is not the name of a parameter", name.get_ref()),
                     Some(format!("expected {}", ParameterId::EXAMPLES)),
                 )
             })
@@ -440,8 +440,8 @@ impl IdentificationFile {
     /// The prior on the link parameters, for lengths and angles or for neither.
     fn tolerance(&self, source: &Source) -> Result<Option<Tolerance>, InputError> {
         let alone = |given: &Spanned<f64>, key: &str, other: &str| {
-            let help = Some(format!("expected {other} as well, or neither"));
-            Err(source.error(given.span(), format!("identification.{key} stands alone"), help))
+            let help = Some(format!("expected {other} as well, or neither of them"));
+            Err(source.error(given.span(), format!("identification.{key} is given without its counterpart"), help))
         };
         match (&self.tolerance_mm, &self.tolerance_mrad) {
             (None, None) => Ok(None),
@@ -486,7 +486,7 @@ fn parameter_choice(
         toml::Value::Array(names) => {
             Ok(ParameterChoice::Listed(names.iter().map(listed).collect::<Result<_, _>>()?))
         }
-        other => Err(refused(format!("{other} is no choice"))),
+        other => Err(refused(format!("{other} is not a valid choice"))),
     }
 }
 
@@ -515,7 +515,7 @@ fn compliance_choice(
         toml::Value::Array(names) => {
             Ok(ComplianceChoice::Listed(names.iter().map(listed).collect::<Result<_, _>>()?))
         }
-        other => Err(refused(format!("{other} is no choice"))),
+        other => Err(refused(format!("{other} is not a valid choice"))),
     }
 }
 
@@ -554,7 +554,7 @@ fn term_prior(source: &Source, file: &TermPriorFile, before: &[TermPrior]) -> Re
         return Err(source.error(
             file.family.span(),
             format!("identification.term_prior: a second prior of \"{family}\""),
-            Some("expected one prior a family, with sigma_um and sigma_rad in it".to_owned()),
+            Some("expected one prior per family, with sigma_um and sigma_rad in it".to_owned()),
         ));
     }
     if file.sigma_um.is_none() && file.sigma_rad.is_none() {

@@ -140,7 +140,7 @@ fn preset(source: &Source, name: &Spanned<String>) -> Result<Preset, InputError>
         source.error(
             name.span(),
             format!("tracker.preset is \"{}\"", name.get_ref()),
-            Some(format!("expected one of: {}; or no preset and figures of your own", known.join(", "))),
+            Some(format!("expected one of: {}; or no preset, and your own figures", known.join(", "))),
         )
     })
 }
@@ -207,7 +207,8 @@ pub(super) fn conditions(
         Some(value) => {
             let share = source.finite("tracker.miss_fraction", value)?;
             if !(0.0..1.0).contains(&share) {
-                let help = "expected the share of all readings that do not come: zero or more and below 1, such as 0.005 for one in 200";
+                let help = "expected the share of readings that are missing: zero or more and below 1, such as 0.005 for one \
+                            in 200";
                 let help = Some(help.to_owned());
                 return Err(source.error(value.span(), format!("tracker.miss_fraction is {share}"), help));
             }
@@ -255,7 +256,7 @@ fn environment(
         if (low..=high).contains(&number) {
             return Ok(number);
         }
-        let help = Some(format!("expected {low} to {high}, as air has it in which a tracker works"));
+        let help = Some(format!("expected {low} to {high}, the range of air in which a tracker works"));
         Err(source.error(value.span(), format!("{} is {number}", key(name)), help))
     };
     let air = Air {

@@ -35,7 +35,8 @@ pub(super) fn payloads(
         return match tables.first() {
             None => Ok(PayloadPlan::default()),
             Some(table) => {
-                let help = "expected [carried] with identification = [\"none\", ...] or verification: which poses carry it".to_owned();
+                let help = "expected [carried] with identification = [\"none\", ...] or verification, which state which poses \
+                            carry it".to_owned();
                 Err(source.error(table.span(), "no pose carries this payload", Some(help)))
             }
         };
@@ -56,7 +57,7 @@ pub(super) fn payloads(
         }
         if carried.is_empty() || carried.len() > poses as usize {
             let message = format!("carried.{key} lists {} loads for {poses} poses", carried.len());
-            let help = "expected one or more, and no more than the poses of the set".to_owned();
+            let help = "expected at least one, and at most as many as the set has poses".to_owned();
             return Err(source.error(list.span(), message, Some(help)));
         }
     }

@@ -66,13 +66,13 @@ pub(super) fn poses(
             }
             (Some(count), Some(_)) => Err(source.error(
                 count.span(),
-                format!("{key} and {key}_from both say which poses are measured"),
-                Some("expected one of them: a number of poses that are drawn, or a file that lists them".to_owned()),
+                format!("{key} and {key}_from are both given"),
+                Some("expected only one of them: a number of poses to draw, or a file that lists them".to_owned()),
             )),
             (None, None) => Err(source.error(
                 table.span(),
                 format!("{key} is missing"),
-                Some(format!("expected a number of poses that are drawn, or {key}_from with a measurement file whose poses are taken")),
+                Some(format!("expected a number of poses to draw, or {key}_from with a measurement file whose poses are used")),
             )),
         }
     };
@@ -143,15 +143,16 @@ fn listed(
                 format!("pose {pose} of {} has joint \"{}\" at {value:.3} {unit}", text.name, link.name);
             let [low, high] = link.limits.map(|limit| scale * limit);
             let help = format!(
-                "expected poses within the limits of the robot's file, {low:.3} to {high:.3} {unit}: look at the unit of the joints in its column map"
+                "expected poses within the limits of the robot's file, {low:.3} to {high:.3} {unit}: check the unit of the \
+                 joints in its column map"
             );
             return Err(source.error(key.span(), message, Some(help)));
         }
         poses.push(joints);
     }
     if poses.is_empty() {
-        let message = format!("{} holds no pose", text.name);
-        let help = "expected a measurement file of this robot with a row a pose";
+        let message = format!("{} holds no poses", text.name);
+        let help = "expected a measurement file of this robot with one row per pose";
         return Err(source.error(key.span(), message, Some(help.to_owned())));
     }
     if poses.len() > MOST_POSES as usize {
@@ -188,7 +189,7 @@ fn region(
         refuse_twice(source, &mut seen, index, &file.joint)?;
         let link = &model.links[index];
         if !robot.actuators.is_commanded(index) {
-            let message = format!("joint \"{}\" follows another one and takes no command", link.name);
+            let message = format!("joint \"{}\" follows another joint and has no command", link.name);
             let help = "expected no [[poses.region]] for it".to_owned();
             return Err(source.error(file.joint.span(), message, Some(help)));
         }
@@ -242,7 +243,7 @@ fn region(
         return Err(source.error(
             entries.span(),
             format!("[[poses.region]] for joint \"{}\" is missing", model.links[index].name),
-            Some("expected one entry a joint that is commanded".to_owned()),
+            Some("expected one entry per commanded joint".to_owned()),
         ));
     }
     robot.actuators.follow(&mut region.centre);

@@ -43,15 +43,17 @@ impl Scenario {
             && 10 * passed < 9 * tested
         {
             remarks.push(format!(
-                "the instrument of [tracker] errs at random alone, and of {tested} such instruments {passed} pass their own acceptance test: it is simulated all \
-                 the same; real ones scatter by about an eighth of the permissible error (random_fraction = 0.125) and share the rest (systematic_fraction = 0.2); \
-                 `calibrig tracker-acceptance` shows the test"
+                "the instrument of [tracker] has only random errors, and of {tested} such instruments {passed} pass their own \
+                 acceptance test: it is simulated nevertheless; real ones scatter by about an eighth of the permissible error \
+                 (random_fraction = 0.125), and their readings share the rest (systematic_fraction = 0.2); `calibrig \
+                 tracker-acceptance` shows the test"
             ));
         }
         if self.probe.is_some() && !self.plan.targets.is_empty() {
             remarks.push(
-                "[tracker.pose] beside [[session.target]]: the first target gives full poses and the others points; they are identified together, but \
-                 `calibrig export csv` writes readings of one kind, and refuses a recording of them"
+                "[tracker.pose] together with [[session.target]]: the first target gives full poses and the others give \
+                 points; they are identified together, but `calibrig export csv` writes readings of one kind, and refuses a \
+                 recording of both"
                     .to_owned(),
             );
         }
@@ -75,8 +77,8 @@ impl Scenario {
                 let apart = (place(own) - place(other)).norm();
                 if apart < APART {
                     remarks.push(format!(
-                        "stations \"{before}\" and \"{name}\" stand in one place, {:.3} mm apart: one tracker cannot stand where another does, and from there \
-                         both see the same",
+                        "stations \"{before}\" and \"{name}\" are at the same place, {:.3} mm apart: two trackers cannot \
+                         stand there, and both would see the same",
                         1e3 * apart
                     ));
                 }

@@ -182,9 +182,9 @@ fn new_name<'a>(
         let found = if text.trim().is_empty() {
             format!("{key}.name is empty")
         } else {
-            format!("{key}.name is \"{text}\", which another one has")
+            format!("{key}.name is \"{text}\", which is used already")
         };
-        return Err(source.error(name.span(), found, Some("expected a name of its own".to_owned())));
+        return Err(source.error(name.span(), found, Some("expected a different name".to_owned())));
     }
     known.push(text);
     Ok(())
@@ -261,8 +261,8 @@ fn approach(source: &Source, section: &Spanned<SessionFile>) -> Result<Approach,
     if kind == ApproachFile::AsTravelled {
         for (key, value) in [along, about] {
             if let Some(value) = value {
-                let help = "expected it beside approach = \"one_side\" or \"both_sides\" alone".to_owned();
-                let message = format!("session.{key} is given, and poses are approached as travelled");
+                let help = "expected it only with approach = \"one_side\" or \"both_sides\"".to_owned();
+                let message = format!("session.{key} is given, but poses are approached as travelled");
                 return Err(source.error(value.span(), message, Some(help)));
             }
         }
@@ -274,7 +274,8 @@ fn approach(source: &Source, section: &Spanned<SessionFile>) -> Result<Approach,
         None => Err(source.error(
             section.span(),
             format!("session.{key} is missing"),
-            Some("expected approach_mm of sliding and approach_deg of turning joints, from where each pose is approached".to_owned()),
+            Some("expected approach_mm for sliding and approach_deg for turning joints: the distance from which each pose is \
+                  approached".to_owned()),
         )),
     }
     };
@@ -294,7 +295,7 @@ fn order(
         None | Some(OrderFile::AsDrawn) => Ok(PoseOrder::AsDrawn),
         Some(OrderFile::ShortTravel) if around.most_poses > MOST_ORDERED_POSES => {
             let message = format!(
-                "session.order is \"short_travel\" for {} poses of a set, which are too many to look for a short way",
+                "session.order is \"short_travel\" for {} poses of a set, too many to search a short path",
                 around.most_poses
             );
             let help = format!("expected up to {MOST_ORDERED_POSES} poses, or order = \"as_drawn\"");
@@ -332,7 +333,7 @@ fn rounds(source: &Source, file: &SessionFile) -> Result<NestRounds, InputError>
     let every = match &file.nests.every_poses {
         None => 0,
         Some(value) if *value.get_ref() == 0 => {
-            let help = "expected a number of poses, or no such key: then nests are not measured in between";
+            let help = "expected a number of poses above zero, or no such key: then nests are not measured in between";
             let message = "session.nests.every_poses is 0";
             return Err(source.error(value.span(), message, Some(help.to_owned())));
         }
@@ -351,7 +352,7 @@ fn sight(source: &Source, section: &Spanned<SightFile>, around: &Around<'_>) -> 
     let margin = length("margin_mm", file.margin_mm.as_ref(), MARGIN)?;
     let kinematics = &around.as_built.kinematics;
     if let (Some(radius), true) = (&file.capsule_radius_mm, file.links != LinksFile::Capsules) {
-        let message = format!("{} is given, and links are no capsules", key("capsule_radius_mm"));
+        let message = format!("{} is given, but links are not capsules", key("capsule_radius_mm"));
         return Err(source.error(
             radius.span(),
             message,
@@ -363,7 +364,7 @@ fn sight(source: &Source, section: &Spanned<SightFile>, around: &Around<'_>) -> 
         LinksFile::Shapes => {
             let obstacles = Obstacles::of_shapes(kinematics, &around.robot.visuals, margin);
             if !obstacles.has_links() {
-                let message = "session.line_of_sight.links is \"shapes\", and the robot's URDF has no box, cylinder or sphere";
+                let message = "session.line_of_sight.links is \"shapes\", but the robot's URDF has no box, cylinder or sphere";
                 let help = "expected visuals in the URDF that the robot's file names, or links = \"capsules\" with capsule_radius_mm, or links = \"none\"";
                 return Err(source.error(section.span(), message, Some(help.to_owned())));
             }
@@ -372,7 +373,7 @@ fn sight(source: &Source, section: &Spanned<SightFile>, around: &Around<'_>) -> 
         LinksFile::Capsules => {
             let Some(radius) = &file.capsule_radius_mm else {
                 let message = format!("{} is missing", key("capsule_radius_mm"));
-                let help = "expected the radius of the links, which are taken as capsules from one joint to the next";
+                let help = "expected the radius of the capsules that stand for the links, from one joint to the next";
                 return Err(source.error(section.span(), message, Some(help.to_owned())));
             };
             Obstacles::of_chain(kinematics, MM * source.positive(&key("capsule_radius_mm"), radius)? + margin)
@@ -385,11 +386,11 @@ fn sight(source: &Source, section: &Spanned<SightFile>, around: &Around<'_>) -> 
         (Some(height), Some(up)) => obstacles.with_floor(up, MM * source.finite(&key("floor_mm"), height)?),
         (Some(height), None) => {
             let message =
-                format!("{} is given, and the robot has no gravity that says where down is", key("floor_mm"));
+                format!("{} is given, but the robot has no gravity, so down is unknown", key("floor_mm"));
             return Err(source.error(
                 height.span(),
                 message,
-                Some("expected gravity, or no floor".to_owned()),
+                Some("expected [gravity], or no floor".to_owned()),
             ));
         }
     };
@@ -400,7 +401,7 @@ fn sight(source: &Source, section: &Spanned<SightFile>, around: &Around<'_>) -> 
             let angle = source.positive(&key("acceptance_deg"), value)?;
             if angle > 90.0 {
                 let message = format!("{} is {angle}", key("acceptance_deg"));
-                let help = "expected at most 90 deg: no reflector sends light back from behind";
+                let help = "expected at most 90 deg: no reflector returns light from behind";
                 return Err(source.error(value.span(), message, Some(help.to_owned())));
             }
             angle.to_radians()
@@ -428,7 +429,7 @@ fn stands(
             let message = format!(
                 "station \"{name}\" stands inside the robot, in {link}, at the middle of the working region"
             );
-            let help = "expected x_mm, y_mm and z_mm of a place outside of every link";
+            let help = "expected x_mm, y_mm and z_mm of a place outside every link";
             return Err(source.error(span, message, Some(help.to_owned())));
         }
         if let Some(depth) = obstacles.below_floor(&at) {

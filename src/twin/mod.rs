@@ -114,12 +114,13 @@ impl TwinError {
                 "expected a robot for which `calibrig identifiability --model` ends with a rank"
             }
             Self::NoPlace { .. } => {
-                "expected a robot that can be seen: try another --tracker, --floor-mm for the floor that it really stands above, or other limits in its file"
+                "expected a robot that can be seen: try another --tracker, --floor-mm with the real height of the floor, or \
+                 other limits in its file"
             }
             Self::NoNests { .. } => {
-                "expected room about the base: try --floor-mm, or other shapes in its URDF"
+                "expected room around the base: try --floor-mm, or other shapes in its URDF"
             }
-            Self::Refused(_) => "expected a robot that a scenario can be made of: see the reason",
+            Self::Refused(_) => "expected a robot for which a scenario can be made: see the reason",
         }
     }
 }
@@ -196,7 +197,7 @@ pub fn twin(robot: &Robot, named: &str, options: &TwinOptions) -> Result<Twin, T
     }
     if place.seen < SEEN {
         told.push(format!(
-            "the tracker sees {:.0} % of the poses: the others are left out of the session, with what hides them",
+            "the tracker sees {:.0} % of the poses: the session leaves the others out, with the reason",
             100.0 * place.seen
         ));
     }
@@ -207,7 +208,8 @@ pub fn twin(robot: &Robot, named: &str, options: &TwinOptions) -> Result<Twin, T
     let parameters = [report.selected.len(), report.spectrum.rank];
     if parameters[1] < parameters[0] {
         told.push(format!(
-            "these poses tell {} of {} link parameters: `calibrig identifiability` says which are missing, and what would help",
+            "these poses determine {} of {} link parameters: `calibrig identifiability` says which are missing, and what \
+             would help",
             parameters[1], parameters[0]
         ));
     }
@@ -326,12 +328,12 @@ fn survey(robot: &Robot, options: &TwinOptions) -> Surveyed {
     if options.floor.is_none() {
         told.push(if off_the_floor {
             format!(
-                "the floor is taken {:.2} m below the base, out of its reach; --floor-mm says otherwise",
+                "the floor is assumed {:.2} m below the base, out of its reach; --floor-mm states another height",
                 -floor
             )
         } else {
             format!(
-                "the floor is taken at {:.0} mm above the base's origin; --floor-mm says otherwise",
+                "the floor is assumed at {:.0} mm above the base's origin; --floor-mm states another height",
                 1e3 * floor + 0.0
             )
         });
@@ -398,10 +400,11 @@ fn clear_region(
     }
     let afloat = Room { planes: &[], ..*room };
     if let Some(region) = attempt(&afloat, &afloat.survey(&surveyed.poses), rng) {
-        told.push("no pose was found with all links above the floor and what the base is mounted on: poses may go below them (--floor-mm)".to_owned());
+        told.push("no pose was found with all links above the floor and clear of what the base is mounted on: poses may go \
+                   below them (--floor-mm)".to_owned());
         return region;
     }
-    told.push("no pose was found in which the links do not touch each other: poses are drawn without looking at that".to_owned());
+    told.push("no pose was found in which the links do not touch each other: poses are drawn without checking this".to_owned());
     let bare = Obstacles::none(room.kinematics);
     let free = Room { planes: &[], obstacles: &bare, ..*room };
     attempt(&free, &Built::default(), rng).unwrap_or_else(|| WorkingRegion {

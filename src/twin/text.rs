@@ -86,15 +86,16 @@ impl Written<'_> {
         let name = plain(&self.robot.name);
         line!(
             text,
-            "# The simulated twin of {name}, made by `calibrig scenario new` from the robot's file alone."
+            "# The simulated twin of {name}, made by `calibrig scenario new` from only the robot's file."
         );
         line!(
             text,
-            "# What that file does not say is assumed, each with its reason: change what you know better. docs/formats.md has every key."
+            "# What that file does not state is assumed, each with its reason: change what you know better. docs/formats.md \
+             has every key."
         );
         line!(text, "#");
         let moving =
-            mass.map_or("its masses are not known".to_owned(), |mass| format!("it moves {mass:.0} kg"));
+            mass.map_or("its masses are unknown".to_owned(), |mass| format!("it moves {mass:.0} kg"));
         let chosen = if self.options.class.is_some() { "as asked for (--class)" } else { "by size" };
         line!(
             text,
@@ -102,7 +103,7 @@ impl Written<'_> {
             class.rule()
         );
         for told in self.told {
-            line!(text, "# To know: {}.", plain(told));
+            line!(text, "# Note: {}.", plain(told));
         }
         line!(text, "schema = \"calibrig.scenario/1\"");
         line!(text, "name = {}", quoted(&format!("{name} twin")));
@@ -116,7 +117,7 @@ impl Written<'_> {
                 ),
                 None => line!(
                     text,
-                    "\n# The robot's file does not say where down is: the base is taken to stand upright. m/s² in the base frame."
+                    "\n# The robot's file does not state gravity: the base is assumed to stand upright. m/s² in the base frame."
                 ),
             }
             let [x, y, z] = [0, 1, 2].map(|axis| self.surveyed.gravity[axis] + 0.0);
@@ -125,11 +126,12 @@ impl Written<'_> {
         if let Some(target) = &self.target {
             line!(
                 text,
-                "\n# Where the reflector is in the flange frame. The robot's file states no one target: assumed, on a bracket that sets it off the last axis, so that"
+                "\n# Where the reflector is in the flange frame. The robot's file does not state exactly one target: assumed, \
+                 on a bracket that sets it off the last axis, so that"
             );
             line!(
                 text,
-                "# turning about that axis can be seen. In the frame of the flange, and no matter which way its axes point."
+                "# turning about that axis is visible. In the frame of the flange, whichever way its axes point."
             );
             line!(text, "[target]");
             place(text, target);
@@ -148,11 +150,13 @@ impl Written<'_> {
             line!(text, "#");
             line!(
                 text,
-                "# The robot's file gives no masses (with stiffnesses and [gravity]), so that gravity acts on nothing and nothing yields: what the real one"
+                "# The robot's file gives no masses (with stiffnesses and [gravity]), so that nothing deflects: the sag of \
+                 the real robot"
             );
             line!(
                 text,
-                "# sags is missing here. State [joint.body] and stiffness_nm_per_rad in it, or make it from a URDF with inertials (`calibrig model from-urdf`)."
+                "# is missing here. State [joint.body] and stiffness_nm_per_rad in it, or make it from a URDF with inertials \
+                 (`calibrig model from-urdf`)."
             );
             line!(text, "[as_built]\ndrives = \"rigid\"");
             self.drawn(text, None);
@@ -162,7 +166,8 @@ impl Written<'_> {
         if is_guess(self.robot) {
             line!(
                 text,
-                "\n# The robot's file takes its stiffnesses for guesses. The machine has those of its class, as factors of the guesses, where gravity loads the drive."
+                "\n# The robot's file marks its stiffnesses as guesses. The machine has those of its class, as factors of the \
+                 guesses, if gravity loads the drive."
             );
             line!(text, "# {}", figures.stiffness_why);
             for (link, drive) in self.robot.model.kinematics.links.iter().zip(drives) {
@@ -186,7 +191,7 @@ impl Written<'_> {
             let sigma = self.robot.compliance_sigma.unwrap_or(0.1).min(0.2);
             line!(
                 text,
-                "# Compliances differ from the predicted ones as the robot's file says of them, else by some 10 %."
+                "# Compliances differ from the predicted ones as the robot's file states, else by some 10 %."
             );
             self.drawn(text, Some(sigma));
         }
@@ -197,28 +202,28 @@ impl Written<'_> {
         line!(text, "lengths_mm = {}\nangles_mrad = {}", self.figures.lengths, self.figures.angles);
         line!(
             text,
-            "target_mm = 0.5        # a bracket as drawn; what is measured of it is in target_sigma_um"
+            "target_mm = 0.5        # a bracket as drawn; its measured offset is within target_sigma_um"
         );
         if let Some(fraction) = compliance {
             line!(text, "compliance_fraction = {fraction}");
             line!(text, "mass_fraction = 0.02   # a mass from a drawing is rarely better");
-            line!(text, "base_tilt_mrad = 0.5   # levelled within half a millimetre a metre");
+            line!(text, "base_tilt_mrad = 0.5   # levelled within half a millimetre per metre");
         }
         if self.robot.model.actuators.four_bar().is_some() {
             line!(
                 text,
-                "linkage_mm = 0.3       # bars are as long as their drawings within some tenths of a millimetre"
+                "linkage_mm = 0.3       # bars differ from their drawings by some tenths of a millimetre"
             );
             line!(text, "linkage_angles_mrad = 0.5");
             let [shift, tilt] = self.figures.crank_axis;
-            line!(text, "# The crank's axis beside the shoulder's. {}", self.figures.crank_axis_why);
+            line!(text, "# The crank's axis relative to the shoulder's. {}", self.figures.crank_axis_why);
             line!(text, "crank_axis_mm = {shift}\ncrank_tilts_mrad = {tilt}");
         }
     }
 
     fn effects(&self, text: &mut String) {
         let figures = self.figures;
-        headline(text, "What no table of link parameters holds");
+        headline(text, "Errors that no table of link parameters holds");
         line!(
             text,
             "# Sizes of the class, not of this robot. `calibrig run FILE --ablate` shows what each contributes; enabled = false switches a section off."
@@ -303,7 +308,8 @@ impl Written<'_> {
         let [selected, rank] = self.parameters;
         line!(
             text,
-            "# {selected} link parameters can be identified ({rank} of them at these poses); with the drives that gravity loads that makes {} unknowns. Two poses for each, six readings,",
+            "# {selected} link parameters can be identified ({rank} of them at these poses); with the drives that gravity \
+             loads there are {} unknowns. Two poses for each, six readings,",
             self.unknown
         );
         line!(
@@ -314,11 +320,13 @@ impl Written<'_> {
         line!(text);
         line!(
             text,
-            "# Drawn uniformly in this box of joint variables: the largest that was found in which of 2000 poses none touches floor or robot, and that the tracker"
+            "# Drawn uniformly in this box of joint variables: the largest found in which none of 2000 poses touches floor or \
+             robot, and that the tracker"
         );
         line!(
             text,
-            "# sees, within 98 % of the limits and at most 170 deg either way. Links were taken as capsules; cables and what stands about it are not known: look at it."
+            "# sees, within 98 % of the limits and at most 170 deg either way. Links were taken as capsules; cables and the \
+             surroundings are unknown: check it."
         );
         let [low, high] = self.extent.map(|corner| corner.map(|value| milli(value).round()));
         line!(
@@ -354,7 +362,8 @@ impl Written<'_> {
         headline(text, "The tracker");
         line!(
             text,
-            "# Its place sees {:.0} % of the poses of all places that were looked at about the robot, at {range:.1} m on average: out of the robot's reach, within 45 deg of level.",
+            "# Of all places around the robot that were tried, this one sees most: {:.0} % of the poses, at {range:.1} m on \
+             average; out of the robot's reach, within 45 deg of level.",
             100.0 * seen
         );
         line!(text, "[tracker]\npreset = \"{}\"", self.options.preset.key());
@@ -364,7 +373,7 @@ impl Written<'_> {
         line!(text, "target_sigma_um = 10   # the bracket on a coordinate measuring machine (assumed)");
         line!(
             text,
-            "\n# Nests about the base that the tracker sees past the robot; they may stand anywhere that does not move."
+            "\n# Nests around the base that the tracker sees past the robot; they may be anywhere that does not move."
         );
         for (index, nest) in self.nests.iter().enumerate() {
             line!(text, "[[tracker.nest]]\nname = \"N{}\"", index + 1);
@@ -394,7 +403,8 @@ impl Written<'_> {
         line!(text, "\n[session.nests]\nevery_poses = 20\nafter = true");
         line!(
             text,
-            "\n# The reflector is turned to the tracker at every pose, as one that follows the beam is. One that is fixed looks into a cone of 30 deg: state"
+            "\n# The reflector is turned to the tracker at every pose, like one that follows the beam. A fixed one accepts a \
+             cone of 30 deg: state"
         );
         line!(
             text,
@@ -438,7 +448,8 @@ impl Written<'_> {
         line!(text, "tolerance_mm = {}\ntolerance_mrad = {}", self.figures.lengths, self.figures.angles);
         line!(
             text,
-            "frame = \"nests\"\ntarget = \"measured\"\nmachine_noise = \"estimated\" # what the machine does beside its model, pose by pose"
+            "frame = \"nests\"\ntarget = \"measured\"\nmachine_noise = \"estimated\" # the machine's own random errors, pose \
+             by pose"
         );
     }
 }

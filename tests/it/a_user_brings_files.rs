@@ -190,7 +190,7 @@ fn held_out_rows_stand_in_the_same_file() {
         "20..30,99",
     ]));
     let said = format!("{}{}", beyond.stdout, beyond.stderr);
-    assert!(said.contains("poses that no row is of: 25..30, 99"), "{said}");
+    assert!(said.contains("that no row has: 25..30, 99"), "{said}");
     let all =
         sandbox.run(IDENTIFY.iter().chain(&["m.csv", "--columns", "map.toml", "--verify-poses", "1..99"]));
     assert_eq!(all.code, Some(1));
@@ -218,7 +218,7 @@ fn a_suggested_map_is_used_as_it_is_and_never_written_over() {
     let before = sandbox.read("new.toml");
     let again = sandbox.run(["columns", "suggest", "m.csv", "--out", "new.toml"]);
     assert_eq!((again.code, sandbox.read("new.toml")), (Some(1), before));
-    assert!(again.stderr.contains("new.toml is there already"), "{}", again.stderr);
+    assert!(again.stderr.contains("new.toml exists already"), "{}", again.stderr);
     // Where something is left to decide, that is the exit code, and the map is refused until it is decided.
     sandbox.write("m.csv", one_file().replace("J1,J2,X,Y,Z", "c1,c2,c3,c4,c5"));
     let open = sandbox.run(["columns", "suggest", "m.csv"]);
@@ -319,7 +319,7 @@ fn rows_of_one_stop_are_one_pose() {
     assert!(
         plain
             .stderr
-            .contains("rows behind each other with the same command are one pose: 24 poses of 72 rows"),
+            .contains("rows with the same command are one pose: 24 poses from 72 rows"),
         "{}",
         plain.stderr
     );

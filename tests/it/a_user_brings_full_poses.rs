@@ -74,7 +74,7 @@ fn a_probes_export_becomes_a_recording_and_text_again() {
     let undecided = record.map(|argument| if argument == "map.toml" { "open.toml" } else { argument });
     let line = sandbox.read("open.toml").lines().position(|line| line.starts_with("# DECIDE: transform"));
     let place = format!("open.toml:{}", line.expect("open") + 1);
-    assert_refused(&sandbox, &undecided, &place, "transform is left to decide", "with the right value");
+    assert_refused(&sandbox, &undecided, &place, "transform is still to be decided", "with the right value");
     let ended = sandbox.run(record);
     assert_eq!(ended.code, Some(0), "{ended:?}");
     let inspected = sandbox.run(["inspect", "r.mcap", "--json"]).json();
@@ -159,7 +159,7 @@ fn what_is_no_pose_is_refused_at_its_row() {
     }
     // Without [rotation] the same file is one of points.
     let points: String =
-        map.split("# Where the rotation is not wanted").next().expect("in front of it").to_owned();
+        map.split("# If the rotation is not wanted").next().expect("in front of it").to_owned();
     sandbox.write("map.toml", points);
     let ended = sandbox.run(record);
     assert_eq!(ended.code, Some(0), "{ended:?}");

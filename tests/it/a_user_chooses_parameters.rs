@@ -43,7 +43,7 @@ fn they_are_listed_and_what_is_listed_is_fitted() {
     for line in [
         "only calibration (only_calibration): ",
         "delta_a2      left out: fixed by its name",
-        "not chosen: --free takes it",
+        "not chosen: fit it with --free",
     ] {
         assert!(text.contains(line), "{line}: {text}");
     }
@@ -73,8 +73,8 @@ fn a_wrong_name_is_wrong_usage() {
         (&["--fix", "delta_q2"][..], "expected a name such as delta_a2"),
         (&["--fix", "delta_a9"], "--fix delta_a9: delta_a9 is not a parameter of this robot"),
         (&["--fix", "frame_x"], "fixed or free as a whole"),
-        (&["--free", "compliance_drive3"], "can be fitted in none of the modes (only_calibration)"),
-        (&["--fix", "delta_a2", "--free", "delta_a2"], "to be fixed, and to be free"),
+        (&["--free", "compliance_drive3"], "cannot be fitted in any of the modes (only_calibration)"),
+        (&["--fix", "delta_a2", "--free", "delta_a2"], "listed both as fixed and as free"),
         (&["--parameters", "delta_a2,best"], "'best' for '--parameters <WHICH,..>': expected complete"),
         (&["--target", "loose"], "possible values"),
     ] {
@@ -102,8 +102,8 @@ fn scenarios_have_the_same_words() {
     let names = fitted(&json);
     assert!(!names.contains(&"delta_a2".to_owned()) && names.contains(&"delta_d3".to_owned()), "{names:?}");
     for (keys, message) in [
-        ("fix = [\"delta_q2\"]", "identification.fix: \"delta_q2\" is no parameter's name"),
-        ("free = [\"ratio_d5\"]", "ratio_d5 can be fitted in none of the modes"),
+        ("fix = [\"delta_q2\"]", "identification.fix: \"delta_q2\" is not the name of a parameter"),
+        ("free = [\"ratio_d5\"]", "ratio_d5 cannot be fitted in any of the modes"),
     ] {
         write(keys);
         let ended = sandbox.run(["check", "s.toml"]);
@@ -169,5 +169,5 @@ fn a_loss_is_called_so_in_every_command() {
     let [now, before] = ["--loss", "--robust"].map(replay);
     assert_eq!((now.code, &now.stdout), (before.code, &before.stdout));
     assert!(!now.stderr.contains("--robust"), "{}", now.stderr);
-    assert!(before.stderr.contains("--robust is called --loss now"), "{}", before.stderr);
+    assert!(before.stderr.contains("--robust is now called --loss,"), "{}", before.stderr);
 }

@@ -502,7 +502,7 @@ fn what_is_not_to_be_trusted_is_marked_and_the_rest_is_kept() {
     assert!(ended.stderr.contains("are less certain than 0.0001 mm (--trust-mm)"), "{}", ended.stderr);
     assert!(
         ended.stdout.contains("extrapolated: ")
-            && ended.stdout.contains("outside the commands that were measured"),
+            && ended.stdout.contains("outside the measured commands"),
         "{}",
         ended.stdout
     );
@@ -547,7 +547,7 @@ fn what_is_not_to_be_trusted_is_marked_and_the_rest_is_kept() {
     );
     let ended = compensate(&sandbox, &["--targets", "panel.toml", "--longest-step", "0.0001", "--json"]);
     assert_eq!(ended.code, Some(3), "{ended:?}");
-    assert!(ended.stderr.contains("reached with a jump only"), "{}", ended.stderr);
+    assert!(ended.stderr.contains("reached only with a jump,"), "{}", ended.stderr);
     assert!(
         ended.json()["points"].as_array().expect("points").iter().any(|point| point["status"] == "jumped")
     );
@@ -633,7 +633,7 @@ fn what_cannot_be_corrected_is_refused_before_anything_is_written() {
     refused(
         &ask("twice.csv", &["--speed-mm-per-s", "100"]),
         "twice.csv:3",
-        "point 2 of the path is where point 1 is",
+        "point 2 of the path is at the same place as point 1",
         "once",
     );
     table("short.csv", &|lines| lines[3] = "P2,1,2".to_owned());
@@ -643,13 +643,13 @@ fn what_cannot_be_corrected_is_refused_before_anything_is_written() {
     sandbox.write("empty.csv", "");
     refused(&ask("empty.csv", &[]), "empty.csv:1", "the file is empty", "names of the columns");
     sandbox.write("header.csv", "x_mm,y_mm,z_mm\n");
-    refused(&ask("header.csv", &[]), "header.csv:1", "the file has no points", "a row a point");
+    refused(&ask("header.csv", &[]), "header.csv:1", "the file has no points", "one row per point");
     sandbox.write("back.csv", "x_mm,y_mm,z_mm,time_s\n1,2,3,1\n2,2,3,0.5\n");
-    refused(&ask("back.csv", &[]), "back.csv:3", "point 2 of the path is at 0.5 s", "times that grow");
+    refused(&ask("back.csv", &[]), "back.csv:3", "point 2 of the path is at 0.5 s", "times that increase");
     refused(
         &ask("back.csv", &["--speed-mm-per-s", "1"]),
         "back.csv:2",
-        "times of its own",
+        "times (time_s), and",
         "no --speed-mm-per-s",
     );
     let ended = sandbox.run(ask("missing.csv", &[]));
@@ -665,7 +665,7 @@ fn what_cannot_be_corrected_is_refused_before_anything_is_written() {
         "{ended:?}"
     );
     sandbox.write("line.toml", "schema = \"calibrig.goals/1\"\n[raster]\ncorners_mm = [[0,0,0],[1,0,0],[2,0,0],[0,1,0]]\npitch_mm = 1\nspacing_mm = 1\nspeed_mm_per_s = 1\n");
-    refused(&ask("line.toml", &[]), "line.toml:3", "the corners make no panel", "in order around the panel");
+    refused(&ask("line.toml", &[]), "line.toml:3", "the corners do not form a panel", "in order around the panel");
     sandbox.write("flat.toml", "schema = \"calibrig.goals/1\"\n[grid]\nlow_mm = [0, 0, 0]\nhigh_mm = [100, 100, 0]\npoints = [2, 2, 2]\n");
     refused(
         &["compensate", "--estimate", "estimate.json", "--grid", "flat.toml"],
@@ -718,7 +718,7 @@ fn estimates_and_flags_that_are_not_of_the_robot_are_refused() {
     refused(
         &ask("points.csv", &["--start", "1,2,3"]),
         "--start",
-        "has 3 numbers, and the robot has 6 actuators",
+        "has 3 numbers, but the robot has 6 actuators",
         "a command of",
     );
     refused(
@@ -736,7 +736,7 @@ fn estimates_and_flags_that_are_not_of_the_robot_are_refused() {
     refused(
         &ask("points.csv", &["--tool", "nose"]),
         "--tool",
-        "\"nose\", which is no target of the estimate",
+        "\"nose\", which is not a target of the estimate",
         &estimate.targets[0],
     );
     refused(&ask("points.csv", &["--tool-mm", "1,2"]), "--tool-mm", "has 2 numbers", "three numbers");

@@ -265,7 +265,7 @@ fn a_section_that_cannot_be_is_refused_at_its_line() {
             "compensation.goal is \"place\"",
             "expected one of `position`, `axis`, `pose`",
         ),
-        ("redundancy =", "redundancy = \"droop\"", "\"droop\" does not state a criterion", "as_planned"),
+        ("redundancy =", "redundancy = \"droop\"", "\"droop\" is not a criterion", "as_planned"),
         (
             "pose_test_cycles",
             "pose_test_cycles = 2",

@@ -374,12 +374,12 @@ fn recordings_that_cannot_become_text_are_refused() {
     refused(&["bare.mcap"], "bare.mcap: ", "holds no robot", "--model ROBOT.toml");
     refused(&["whole.mcap", "--model", UR5], "whole.mcap: ", "robot/robot.toml", "leave --model out");
     let place = "bare.mcap: /measurement/identification: pose 1: ";
-    refused(&["bare.mcap", "--model", UR5], place, "3 commands for 6 joints", "one a joint");
+    refused(&["bare.mcap", "--model", UR5], place, "3 commands for 6 joints", "one per joint");
     refused(
         &["bare.mcap", "--model", "none.toml"],
         "cannot read none.toml",
         "No such file",
-        "a file of UTF-8",
+        "a text file in UTF-8",
     );
     let over_a_file = ["export", "csv", "whole.mcap", "--out", "file"];
     assert_refused(&sandbox, &over_a_file, "cannot write to the folder file", "no folder", "a folder");
@@ -426,7 +426,7 @@ fn files_that_cannot_become_a_recording_are_refused() {
     );
     let every = "every row of the identification set is a missed shot; the first: missed shot: the position is (0, 0, 0) (missed.csv:2)";
     refused(&["--measurements", "missed.csv"], "missed.csv: ", every, "(0, 0, 0)");
-    refused(&["--measurements", "none.csv"], "cannot read none.csv", "No such file", "a file of UTF-8 text");
+    refused(&["--measurements", "none.csv"], "cannot read none.csv", "No such file", "a text file in UTF-8");
     let with = ["--measurements", "own.csv", "--session"];
     let missing = "station \"back\" of the identification set is not described";
     refused(&[&with[..], &["session.toml"]].concat(), "session.toml:3: ", missing, "name = \"back\"");

@@ -92,7 +92,7 @@ fn what_is_sound_of_it_is_saved_and_replayed() {
     let inspected = sandbox.run(["inspect", "r.mcap"]);
     assert_eq!((inspected.code, inspected.stderr.as_str()), (Some(3), ""), "{inspected:?}");
     for told in
-        ["damaged at byte", "calibrig recover r.mcap NEW", "fits its hash", "/measurement/identification"]
+        ["damaged at byte", "calibrig recover r.mcap NEW", "matches its hash", "/measurement/identification"]
     {
         assert!(inspected.stdout.contains(told), "{told}: {}", inspected.stdout);
     }
@@ -191,7 +191,7 @@ fn the_target_cannot_be_written() {
     refused("r.mcap", "r.mcap ", "is the damaged file itself", "another file");
     refused("./models/../r.mcap", "./models/../r.mcap ", "is the damaged file itself", "another file");
     refused("models", "models ", "is a folder", "the name of a file");
-    refused("none/good.mcap", "cannot write none/good.mcap: ", "No such file", "a folder that is there");
+    refused("none/good.mcap", "cannot write none/good.mcap: ", "No such file", "an existing folder");
     refused("there.mcap/good.mcap", "cannot write there.mcap/good.mcap: ", "Not a directory", "a folder");
     // Read-only for everyone.
     #[cfg(target_os = "linux")]

@@ -134,7 +134,7 @@ fn exchanged_rows_are_refused_and_named() {
     let mut lines = session(40);
     (lines[4].1, lines[13].1) = (lines[13].1, lines[4].1);
     let sandbox = sandbox(&lines);
-    let parts = ["rows 5 and 14 have each other's points", "does not lie on the points", "--fit-anyway"];
+    let parts = ["rows 5 and 14 have each other's points", "does not fit the points", "--fit-anyway"];
     told(&identify(&sandbox, &[]), 1, &parts);
     assert_eq!(identify(&sandbox, &[]).stdout, "");
     told(&identify(&sandbox, &["--fit-anyway"]), 3, &["doubtful: the nominal robot does not lie on"]);
@@ -156,7 +156,7 @@ fn a_wrong_unit_of_the_joints_is_told_with_their_spans() {
         &["the joints' angles span 5.", "read as radians", "revolute_unit"],
     );
     let lines: Vec<_> = session(40).into_iter().map(|(deg, p)| (deg.map(f64::to_degrees), p)).collect();
-    let parts = ["joint J1: the commands take it to", "its limits are -170 to 170 deg", "does not lie on"];
+    let parts = ["joint J1: the commands take it to", "its limits are -170 to 170 deg", "does not fit"];
     told(&identify(&sandbox(&lines), &[]), 1, &parts);
 }
 
@@ -165,7 +165,7 @@ fn a_home_offset_and_mirrored_points_are_told() {
     let lines: Vec<_> = session(40).into_iter().map(|([a, b, c], p)| ([a, b - 90.0, c], p)).collect();
     told(&identify(&sandbox(&lines), &[]), 1, &["J2 + 90 deg: RMS", "instead of", "theta_deg"]);
     let lines: Vec<_> = session(40).into_iter().map(|(deg, [x, y, z])| (deg, [y, x, z])).collect();
-    told(&identify(&sandbox(&lines), &[]), 1, &["mirror image: x and y exchanged fits"]);
+    told(&identify(&sandbox(&lines), &[]), 1, &["mirror image: exchanging x and y fits"]);
 }
 
 fn diagnose(sandbox: &Sandbox, more: &[&str]) -> Ended {
@@ -191,7 +191,7 @@ fn a_diagnosis_names_what_was_broken_and_what_applies_it() {
     told(
         &diagnose(&sandbox(&session(40)), &[]),
         0,
-        &["Sound: the robot lies on the points as they were read"],
+        &["Sound: the robot fits the points as they were read"],
     );
 
     let broken = |change: &dyn Fn(&mut Vec<Line>)| {
@@ -284,7 +284,7 @@ fn a_session_of_one_pose_tells_nothing() {
     told(
         &diagnose(&sandbox(&lines), &[]),
         0,
-        &["tell too little of the robot", "all poses are one: fewer than 5"],
+        &["say too little about the robot", "all poses are one: fewer than 5"],
     );
 }
 

@@ -218,7 +218,7 @@ fn a_mistake_is_told_with_its_cell_or_message() {
         "one of: Notes, Points",
     );
     sandbox.write("bag.mcap", bag(&session, ["a", "b", "c", "d", "e", "f"]));
-    refused("bag.mcap", &[], "bag.mcap: ", "no joint called base, shoulder", "column map");
+    refused("bag.mcap", &[], "bag.mcap: ", "no joint named base, shoulder", "column map");
     sandbox.write("map.toml", "schema = \"calibrig.columns/1\"\n[joints]\ncolumns = [\"a\", \"b\", \"c\", \"d\", \"e\", \"f\"]\nrevolute_unit = \"rad\"\n[position]\nsystem = \"cartesian\"\nunit = \"m\"\nx = [\"x\"]\ny = [\"y\"]\nz = [\"z\"]\n");
     let mapped = identify(&sandbox, "bag.mcap", &["--columns", "map.toml"]);
     assert_eq!(mapped.code, Some(0), "{mapped:?}");

@@ -208,7 +208,7 @@ fn a_four_bar_is_drawn_with_an_axis_of_the_crank_of_its_own() {
         let file = format!("{name}.toml");
         made(&sandbox, &format!("models/{name}/robot.toml"), &file, &[]);
         let text = sandbox.read(&file);
-        let reason = format!("# The crank's axis beside the shoulder's. ISO 2768-2, {class}: ");
+        let reason = format!("# The crank's axis relative to the shoulder's. ISO 2768-2, {class}: ");
         let keys = format!("crank_axis_mm = {}\ncrank_tilts_mrad = {}\n", sizes[0], sizes[1]);
         assert!(text.contains(&reason) && text.contains(&keys), "{text}");
         let mut scenario = load_scenario(&sandbox.path(&file)).expect("a scenario");
@@ -310,7 +310,7 @@ fn what_cannot_be_written_or_read_is_refused_with_what_to_do() {
         &new("none.toml", "a.toml"),
         "cannot read none.toml",
         "",
-        "a file of UTF-8 text",
+        "a text file in UTF-8",
     );
     let urdf = new("models/ur5/robot.urdf", "a.toml");
     assert_refused(
@@ -406,7 +406,7 @@ fn poses_of_a_measurement_file_are_measured_again_and_replay_needs_no_file() {
         "identification_from",
         "identification_from = \"csv/verification.csv\"\nidentification = 5",
     );
-    assert_refused(&sandbox, &["check", "again.toml"], "again.toml:", "both say which poses", "one of them");
+    assert_refused(&sandbox, &["check", "again.toml"], "again.toml:", "both given", "one of them");
     sandbox.replace_line("again.toml", "[poses]", "identification_from", "");
     assert_refused(
         &sandbox,

@@ -202,7 +202,7 @@ fn terms_that_make_other_poses_worse_are_named() {
         assert!(worse.gain.low <= worse.gain.value && worse.gain.high < 0.0, "{worse}");
     }
     let text = render_tables(&outcome, Style::Plain);
-    assert!(text.contains("makes poses that were not fitted worse"), "{text}");
+    assert!(text.contains("makes predictions of poses that were not fitted worse"), "{text}");
     let json = serde_json::to_value(json_report(&outcome)).expect("a document");
     let named = &json["estimates"]["extended"]["worse"][0];
     assert!(named["names"].is_array() && named["gain_m"].as_f64() < Some(0.0), "{json:#}");

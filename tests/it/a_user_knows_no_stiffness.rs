@@ -123,7 +123,7 @@ fn drives_far_from_what_the_file_states_are_found_and_what_is_left_out_is_listed
     let ended = identify(&sandbox, &[]);
     assert_eq!(ended.code, Some(3), "{ended:?}");
     for part in
-        ["far softer drives than the prior allows", "--compliance-percent unknown", "compliance_drive3"]
+        ["much softer drives than the prior allows", "--compliance-percent unknown", "compliance_drive3"]
     {
         assert!(ended.stderr.contains(part), "{part}: {}", ended.stderr);
     }

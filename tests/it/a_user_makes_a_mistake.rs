@@ -298,7 +298,7 @@ fn a_user_describes_a_structure_that_cannot_be() {
                 "housed_mm",
                 "housed_mm = 1750",
                 Same,
-                "leaves nothing of the segment",
+                "leaves no length of the segment",
                 "min_mm",
             ),
             (
@@ -352,19 +352,19 @@ fn a_user_gives_a_key_or_a_joint_twice() {
     in_robot(
         ROBOT,
         &[
-            (WAIST, "d_mm", "d_mm = 626\nd_mm = 627", Below(1), "duplicate key `d_mm`", "every key once"),
-            ("", "name = \"shoulder\"", WAIST, Same, "a second joint \"waist\"", "a name of its own"),
+            (WAIST, "d_mm", "d_mm = 626\nd_mm = 627", Below(1), "duplicate key `d_mm`", "every key only once"),
+            ("", "name = \"shoulder\"", WAIST, Same, "a second joint \"waist\"", "a different name for each joint"),
         ],
     );
     in_scenario(&[
-        ("", "seed", "seed = 1\nseed = 2", Below(1), "duplicate key `seed`", "every key once"),
+        ("", "seed", "seed = 1\nseed = 2", Below(1), "duplicate key `seed`", "every key only once"),
         (
             "",
             "joint = \"waist\"",
             "joint = \"rail\"",
             Same,
             "joint \"rail\" is given twice",
-            "one entry a joint",
+            "one entry per joint",
         ),
         (
             "[poses]",
@@ -372,7 +372,7 @@ fn a_user_gives_a_key_or_a_joint_twice() {
             "joint = \"rail\"",
             Same,
             "joint \"rail\" is given twice",
-            "one entry a joint",
+            "one entry per joint",
         ),
         (
             TRACKER,
@@ -395,7 +395,7 @@ fn a_user_gives_a_number_that_is_none() {
             (WAIST, "d_mm", "d_mm = 1e308", Same, "d_mm is 1e308", "at most 1e15"),
             (WAIST, "d_mm", "d_mm = 1e999", Same, "joint.d_mm is 1e999", "a finite number"),
             (WAIST, "d_mm", "d_mm = 626,5", Same, "joint.d_mm has a decimal comma", "a decimal point"),
-            (WAIST, "d_mm", "d_mm =", Same, "joint.d_mm has no value", "a value behind the `=`"),
+            (WAIST, "d_mm", "d_mm =", Same, "joint.d_mm has no value", "a value after the `=`"),
             (WAIST, "d_mm", "d_mm = abc", Same, "joint.d_mm is abc", "a number"),
             ("[gravity]", "y_m_per_s2", "y_m_per_s2 = nan", Same, "y_m_per_s2 is nan", "a finite number"),
         ],
@@ -539,7 +539,7 @@ fn a_user_asks_for_poses_that_the_robot_does_not_reach() {
     let first = scenario.lines().position(|line| line == "[[poses.region]]").expect("a region") + 1;
     let message = "[[poses.region]] for joint \"wrist\" is missing";
     let place = format!("{SCENARIO}:{first}: ");
-    assert_refused(&sandbox, &["run", SCENARIO], &place, message, "one entry a joint");
+    assert_refused(&sandbox, &["run", SCENARIO], &place, message, "one entry per joint");
 }
 
 #[test]
@@ -768,7 +768,7 @@ fn a_user_has_a_urdf_that_does_not_match() {
             "<parent",
             "<parent link=\"cariage\"/>",
             open,
-            "names a link cariage that is not there",
+            "names a link cariage that does not exist",
             "a link",
         ),
         (open, "<limit", "", open, "joint waist has no <limit>", "the limits of robot.toml"),
@@ -883,8 +883,8 @@ fn a_user_has_a_mistake_in_a_measurement_file() {
         (|rows| rows[0][4] = "q2".to_owned(), 1, "column q2_rad is missing", "a column q2_rad"),
         (|rows| rows[0][4] = "q2_deg".to_owned(), 1, "column q2_rad is missing", "a column q2_rad"),
         (|rows| rows[0][4] = "q3_rad".to_owned(), 1, "column q2_rad is missing", "a column q2_rad"),
-        (|rows| rows[0].push("pose".to_owned()), 1, "column pose is there twice", "distinct"),
-        (|rows| rows.truncate(1), 1, "no measurements below the header", "a row of numbers"),
+        (|rows| rows[0].push("pose".to_owned()), 1, "column pose appears twice", "distinct"),
+        (|rows| rows.truncate(1), 1, "no measurements below the header", "one row of numbers"),
         (Vec::clear, 1, "the file is empty", "names of the columns"),
         (|rows| drop(rows.remove(0)), 1, "column", "column"),
         (|rows| rows.truncate(3), 3, "fewer than three", "at least three poses"),
@@ -928,12 +928,12 @@ fn a_user_has_a_mistake_in_a_measurement_file() {
 #[test]
 fn a_user_has_no_measurement_file() {
     let sandbox = Sandbox::new();
-    assert_refused(&sandbox, &IDENTIFY, "cannot read set.csv: ", "No such file", "a file of UTF-8 text");
+    assert_refused(&sandbox, &IDENTIFY, "cannot read set.csv: ", "No such file", "a text file in UTF-8");
     sandbox.make_folder("set.csv");
-    assert_refused(&sandbox, &IDENTIFY, "cannot read set.csv: ", "it is a folder", "a file of UTF-8 text");
+    assert_refused(&sandbox, &IDENTIFY, "cannot read set.csv: ", "it is a folder", "a text file in UTF-8");
     let sandbox = Sandbox::new();
     sandbox.write("set.csv", [&[0x89], "PNG\r\n\0\0".as_bytes()].concat());
-    assert_refused(&sandbox, &IDENTIFY, "set.csv:2: ", "a byte of 0, which no text has", "a text");
+    assert_refused(&sandbox, &IDENTIFY, "set.csv:2: ", "a zero byte, which text cannot contain", "a text");
 }
 
 #[test]
@@ -975,12 +975,12 @@ fn a_user_has_a_mistake_in_a_column_map() {
             "columns",
             five,
             Same,
-            "joints.columns names 5 columns, the robot has 6",
-            "one column a joint",
+            "joints.columns names 5 columns, but the robot has 6",
+            "one column per joint",
         ),
-        ("[joints]", "columns", twice, Same, "column \"joint_5\" is named twice", "a column each"),
+        ("[joints]", "columns", twice, Same, "column \"joint_5\" is named twice", "a different column for each"),
         ("[joints]", "columns", "colums = []", Same, "unknown key `colums`", "`columns`"),
-        ("[joints]", "columns", "columns = 6", Same, "joints.columns names 1 columns", "one column a joint"),
+        ("[joints]", "columns", "columns = 6", Same, "joints.columns names 1 columns", "one column per joint"),
         ("[joints]", "columns", "columns = 6.5", Same, "joints.columns is 6.5", "a signed sum"),
         ("[position]", "unit", "", Header, "missing key `unit` in [position]", "unit = mm, m"),
         ("[position]", "unit", "unit = \"foot\"", Same, "position.unit is \"foot\"", "`mm`"),
@@ -1078,8 +1078,8 @@ fn a_user_gives_an_effect_that_no_machine_has() {
         ("[effects.rail]\njoint = \"rail\"\nwavelength_mm = -800", 3, "wavelength_mm is -800", "above zero"),
         (hot.as_str(), 3, "effects.thermal.start_c is 210", "-20 to 60 degrees"),
         // In the course of the session.
-        (drifting.as_str(), 4, "the ambient temperature leaves -20 to 60 degC", "or a shorter one"),
-        (THERMAL, 1, "lets nothing grow", "[[effects.thermal.link]]"),
+        (drifting.as_str(), 4, "the air temperature leaves -20 to 60 degC", "or a shorter session"),
+        (THERMAL, 1, "has nothing that grows", "[[effects.thermal.link]]"),
         (metres.as_str(), 9, "unknown key `expansion_per_k`", "`expansion_ppm_per_k`"),
     ] {
         let sandbox = Sandbox::new();
@@ -1168,7 +1168,7 @@ fn a_file_without_one_of_its_lines_is_read_or_refused_with_a_place() {
 
 #[test]
 fn a_user_describes_an_instrument_that_there_is_not() {
-    let none_passes = "none passes its own acceptance test";
+    let none_passes = "passes its own acceptance test";
     in_scenario(&[
         (
             TRACKER,
@@ -1268,7 +1268,7 @@ fn a_user_measures_where_the_instrument_does_not_work() {
 fn a_user_asks_for_the_test_of_an_instrument_that_there_is_not() {
     let sandbox = Sandbox::new();
     let names = "at500, at960, vantage, gts3800";
-    assert_refused(&sandbox, &["tracker-acceptance", "at50"], "at50: ", "neither a file nor a preset", names);
+    assert_refused(&sandbox, &["tracker-acceptance", "at50"], "at50: ", "no file and no preset", names);
     sandbox.set(TRACKER, "preset", "\"AT500\"");
     let ended = sandbox.run(["tracker-acceptance", SCENARIO]);
     assert!(ended.code == Some(1) && ended.stderr.contains("tracker.preset is \"AT500\""), "{ended:?}");

@@ -184,7 +184,7 @@ fn payloads_go_through_recordings_and_files() {
     let twice = sandbox.run(loaded.split_whitespace());
     let words = twice.stderr.split_whitespace().collect::<Vec<_>>().join(" ");
     assert!(
-        words.contains("payload \"plate\" is carried by all poses of the identification set"),
+        words.contains("payload \"plate\" is said to be carried by all poses of the identification set"),
         "{twice:?}"
     );
     sandbox.write("tables/identification.csv", without_payloads(&rows));

@@ -175,5 +175,5 @@ fn a_region_of_a_joint_that_follows_another_is_refused() {
     sandbox.write(file, sandbox.read(file).replacen("[tracker]", region, 1));
     let line = 1 + sandbox.read(file).lines().position(|line| line == "joint = \"level\"").expect("there");
     let place = format!("{file}:{line}:");
-    assert_refused(&sandbox, &["check", file], &place, "follows another one", "no [[poses.region]] for it");
+    assert_refused(&sandbox, &["check", file], &place, "follows another joint", "no [[poses.region]] for it");
 }

@@ -222,7 +222,7 @@ fn what_cannot_be_planned_is_refused_with_its_place() {
             station,
             "name",
             "name = \"1\"",
-            "session.station.name is \"1\", which another one has",
+            "session.station.name is \"1\", which is used already",
             "of its own",
         ),
         (station, "x_mm", "x_mm = 60000", "from station \"left\"", "the tracker's range"),
@@ -233,9 +233,9 @@ fn what_cannot_be_planned_is_refused_with_its_place() {
             "links",
             "links = \"capsules\"",
             "session.line_of_sight.capsule_radius_mm is missing",
-            "radius of the links",
+            "radius of the capsules that stand for the links",
         ),
-        (sight, "margin_mm", "capsule_radius_mm = 90", "links are no capsules", "links = \"capsules\""),
+        (sight, "margin_mm", "capsule_radius_mm = 90", "links are not capsules", "links = \"capsules\""),
         (
             sight,
             "margin_mm",
@@ -314,5 +314,5 @@ fn a_robot_without_shapes_needs_a_choice() {
         "links = \"capsules\"\ncapsule_radius_mm = 120",
     );
     let text = sandbox.run(["check", SESSION]);
-    assert!(text.stdout.contains("past capsules along the chain"), "{text:?}");
+    assert!(text.stdout.contains("blocked by links as capsules along the chain"), "{text:?}");
 }

@@ -173,7 +173,7 @@ fn a_measured_plan_is_identified_from() {
         &sandbox,
         &["identify", "--model", "models/spray_painter/robot.toml", "--measurements", "plan/plan.csv"],
         "plan/plan.csv:3",
-        "every other that is measured",
+        "are all the other measured columns",
         "a plan has none before it is measured",
     );
     sandbox.write("scenarios/plan.csv", &plan);
@@ -270,7 +270,7 @@ fn how_many_poses_an_accuracy_needs() {
         &sandbox,
         &arguments,
         file,
-        "what the machine does beside its model",
+        "the machine's own random errors",
         "a larger --accuracy",
     );
     // With a number of poses the plan is told all the same, and is to be looked at.
@@ -386,12 +386,12 @@ fn a_robot_without_a_scenario() {
     };
     let free = told(&["--noise-um", "20"]);
     assert_eq!(free["trackers_m"].as_array().map(Vec::len), Some(0));
-    assert!(free["remarks"].to_string().contains("where the tracker stands is not known"));
+    assert!(free["remarks"].to_string().contains("the tracker's place is unknown:"));
     let placed = ["--tracker", "at500", "--tracker-mm", "6000,1500,1500", "--floor-mm", "-500"];
     let opening = [&placed[..], &["--opening", "1,0,0"]].concat();
     for (arguments, reasons) in [
         (&placed[..], ["hides the target", "is below the floor"]),
-        (&opening, ["the reflector looks away", "is below the floor"]),
+        (&opening, ["the reflector faces away", "is below the floor"]),
     ] {
         let refused = told(arguments)["candidates"]["refused"].to_string();
         assert!(reasons.iter().all(|why| refused.contains(why)), "{reasons:?}: {refused}");
@@ -497,7 +497,7 @@ fn what_cannot_be_planned_is_refused() {
             "\"rail\" at 9000.000 mm",
             "within the limits",
         ),
-        ("empty.csv", header.to_owned(), "empty.csv", "no poses", "a row of numbers"),
+        ("empty.csv", header.to_owned(), "empty.csv", "no poses", "one row of numbers"),
         (
             "more.csv",
             "q1_m,q2_rad,q3_rad,q4_rad,q5_m,q6_rad,q7_rad,q8_rad\n0,0,0,0,0,0,0,0\n".to_owned(),

@@ -224,7 +224,7 @@ fn two_campaigns_do_not_share_a_folder_and_what_is_there_is_untouched() {
     whole(&sandbox, "3");
     let before = sandbox.content();
     for (more, message, expected) in [
-        (&["--trials", "3"][..], "there is a campaign in it already", "--resume"),
+        (&["--trials", "3"][..], "this folder holds a campaign already", "--resume"),
         (
             &["--trials", "4", "--resume"],
             "it has 3 trials from 0 instead of 4 trials from 0",
@@ -246,22 +246,22 @@ fn two_campaigns_do_not_share_a_folder_and_what_is_there_is_untouched() {
     sandbox.write("whole/manifest.json", &other);
     let resumed =
         ["montecarlo", SCENARIO, "--plant", "analytic", "--trials", "3", "--out", "whole", "--resume"];
-    assert_refused(&sandbox, &resumed, "whole", "another build of version", "another folder");
+    assert_refused(&sandbox, &resumed, "whole", "a different build of version", "another folder");
 
     for (text, message) in
         [("", "it is empty or cut short"), ("{}", "missing field"), ("[1]", "manifest.json")]
     {
         sandbox.write("whole/manifest.json", text);
         for command in [&["missing", "whole"][..], &["merge", "whole"], &resumed] {
-            assert_refused(&sandbox, command, "whole/manifest.json", message, "begin the campaign anew");
+            assert_refused(&sandbox, command, "whole/manifest.json", message, "start the campaign again");
         }
     }
     sandbox.make_folder("nothing");
     for command in ["missing", "merge"] {
-        assert_refused(&sandbox, &[command, "nothing"], "nothing", "no campaign in it", "--out DIR");
+        assert_refused(&sandbox, &[command, "nothing"], "nothing", "no campaign here", "--out DIR");
     }
     let resumed = ["montecarlo", SCENARIO, "--trials", "3", "--out", "nothing", "--resume"];
-    assert_refused(&sandbox, &resumed, "nothing", "no campaign in it", "--out DIR");
+    assert_refused(&sandbox, &resumed, "nothing", "no campaign here", "--out DIR");
 }
 
 #[test]
@@ -277,7 +277,7 @@ fn a_table_that_was_altered_is_made_again_and_one_of_nobody_is_kept() {
         assert_eq!(missing.code, Some(3), "{missing:?}");
         assert!(missing.stderr.contains("cut short, altered"), "{}", missing.stderr);
         let merged = sandbox.run(["merge", "whole"]);
-        assert!(merged.code == Some(3) && merged.stderr.contains("--resume goes on"), "{merged:?}");
+        assert!(merged.code == Some(3) && merged.stderr.contains("--resume to continue"), "{merged:?}");
         let again = campaign(&sandbox, "whole", &["--trials", "6", "--resume"]);
         assert!(again.code == Some(0) && again.stderr.contains("cut short, altered"), "{again:?}");
         assert!(table(&sandbox, "whole") == one);
@@ -285,7 +285,7 @@ fn a_table_that_was_altered_is_made_again_and_one_of_nobody_is_kept() {
     // The manifest is gone: whose table it is nobody can tell.
     fs::remove_file(sandbox.path("whole/manifest.json")).expect("a manifest");
     let arguments = ["montecarlo", SCENARIO, "--plant", "analytic", "--trials", "6", "--out", "whole"];
-    assert_refused(&sandbox, &arguments, "whole/trials.parquet", "is there already", "another name");
+    assert_refused(&sandbox, &arguments, "whole/trials.parquet", "exists already", "another name");
 }
 
 #[test]

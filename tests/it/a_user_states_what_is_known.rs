@@ -42,7 +42,7 @@ fn a_bound_that_cannot_be_is_refused_at_its_line() {
         (
             "parameter = \"delta_q4\"\nmin_mm = -1",
             2,
-            "\"delta_q4\", which is no parameter's name",
+            "\"delta_q4\", which is not the name of a parameter",
             "such as delta_a2",
         ),
         ("parameter = \"delta_a4\"", 2, "the bound of delta_a4 has no limit", "min_mm, max_mm or both"),
@@ -64,14 +64,14 @@ fn a_bound_that_cannot_be_is_refused_at_its_line() {
         (
             "parameter = \"delta_a4\"\nmin_mm = 5\nmax_mm = -5",
             4,
-            "ends at -5 mm, not above its begin at 5 mm",
+            "ends at -5 mm, which is not above its start at 5 mm",
             "above the lower",
         ),
         (
             "parameter = \"delta_a4\"\nmin_mm = 0\nmax_mm = 0",
             4,
             "ends at 0 mm, not above",
-            "left out of the parameters",
+            "value, leave it out of the parameters",
         ),
         (
             "parameter = \"delta_a4\"\nmin_mm = 5\nmax_mm = 9",
@@ -85,7 +85,7 @@ fn a_bound_that_cannot_be_is_refused_at_its_line() {
             "delta_a4 at most -5 mm excludes 0",
             "with 0 between them",
         ),
-        ("parameter = \"compliance_drive3\"\nmin = -2", 3, "begins at -2", "-1 is none at all"),
+        ("parameter = \"compliance_drive3\"\nmin = -2", 3, "begins at -2", "-1 is no compliance or mass at all"),
         (
             "parameter = \"delta_d1\"\nmax_mm = 5\n[[identification.bound]]\nparameter = \"delta_d1\"\nmin_mm = -5",
             5,
@@ -95,7 +95,7 @@ fn a_bound_that_cannot_be_is_refused_at_its_line() {
         (
             "parameter = \"delta_beta6\"\nmax_mrad = 5",
             2,
-            "delta_beta6 is fitted in none of the modes (only_calibration)",
+            "delta_beta6 is not fitted in any of the modes (only_calibration)",
             "expected one of: delta_alpha1",
         ),
         ("min_mm = -5", 1, "missing key `parameter` in [identification.bound]", "`parameter`"),
@@ -116,7 +116,7 @@ fn a_bound_that_cannot_be_is_refused_at_its_line() {
         &["check", SCENARIO],
         &place,
         "a second prior of \"rail\"",
-        "one prior a family",
+        "one prior per family",
     );
 }
 
@@ -170,19 +170,19 @@ fn a_bound_on_the_command_line_is_kept_or_refused() {
     for (bounds, message) in [
         (&["delta_a4"][..], syntax),
         (&["delta_a4=5mm"], syntax),
-        (&["delta_q4=0mm..5mm"], "\"delta_q4\" is no parameter's name: expected a name such as delta_a2"),
-        (&["delta_a4=-5..5mm"], "\"-5\" of delta_a4: expected a number of mm, such as 5mm, or an open end"),
+        (&["delta_q4=0mm..5mm"], "\"delta_q4\" is not the name of a parameter: expected a name such as delta_a2"),
+        (&["delta_a4=-5..5mm"], "\"-5\" of delta_a4: expected a number of mm, such as 5mm, or nothing for an open end"),
         (&["delta_a4=-5mrad..5mm"], "\"-5mrad\" of delta_a4: expected a number of mm"),
         (&["delta_theta4=..5mm"], "\"5mm\" of delta_theta4: expected a number of mrad"),
         (&["compliance_drive3=0..5%"], "\"5%\" of compliance_drive3: expected a number without unit"),
         (&["delta_a4=nanmm..5mm"], "\"nanmm\" of delta_a4"),
         (&["delta_a4=..inf mm"], "\"inf mm\" of delta_a4"),
         (&["delta_a4=.."], "the bound of delta_a4 has no limit"),
-        (&["delta_a4=5mm..-5mm"], "ends at -5 mm, not above its begin at 5 mm"),
+        (&["delta_a4=5mm..-5mm"], "ends at -5 mm, which is not above its start at 5 mm"),
         (&["delta_a4=1mm..5mm"], "delta_a4 1 to 5 mm excludes 0, the nominal value"),
         (&["delta_a4=..5mm", "delta_a4=-5mm.."], "--bound delta_a4: delta_a4 has a second bound"),
-        (&["frame_x=-5mm..5mm"], "--bound frame_x: frame_x counts from where the nominal robot fits"),
-        (&["compliance_drive3=0.."], "compliance_drive3 is fitted in none of the modes (only_calibration)"),
+        (&["frame_x=-5mm..5mm"], "--bound frame_x: frame_x is relative to the best fit of the nominal robot to"),
+        (&["compliance_drive3=0.."], "compliance_drive3 is not fitted in any of the modes (only_calibration)"),
     ] {
         let flags: Vec<_> = bounds.iter().flat_map(|bound| ["--bound", bound]).collect();
         let ended = identify(&flags);
@@ -334,7 +334,7 @@ fn a_plan_that_cannot_tell_everything_names_what_it_cannot() {
     ]);
     assert_eq!(ended.code, Some(3), "{ended:?}");
     assert!(
-        ended.stdout.contains("rank 11 of 12 parameters: frame_z with delta_d1 cannot be told apart"),
+        ended.stdout.contains("rank 11 of 12 parameters: frame_z with delta_d1 cannot be distinguished"),
         "{ended:?}"
     );
     let spread =
@@ -351,7 +351,7 @@ fn a_plan_of_what_the_robot_does_not_have_is_refused() {
             &["--compliances", "all"][..],
             "--compliances: expected --mode elasto_geometric or --mode extended beside it",
         ),
-        (&["--mode", "elasto_geometric", "--terms", "rail"], "--terms: expected --mode extended beside it"),
+        (&["--mode", "elasto_geometric", "--terms", "rail"], "--terms: expected --mode extended with it"),
         (&["--mode", "extended", "--terms", "growth"], "expected some of: none, linkage"),
         (&["--mode", "rigid"], "possible values: geometry, elasto_geometric, extended"),
         (
@@ -440,7 +440,7 @@ fn a_session_file_makes_identify_the_replay_of_the_same_recording() {
     for line in [
         "station 1: placed by 7 nests of t/session.toml, 77 readings\n",
         "target SMR: stated by t/session.toml, +- 0.01 mm an axis\n",
-        "targets are those of t/session.toml, not those of t/robot.toml\n",
+        "targets are taken from t/session.toml, not from t/robot.toml\n",
     ] {
         assert!(identified.stderr.contains(line), "{line}: {}", identified.stderr);
     }
@@ -669,7 +669,7 @@ fn a_session_file_that_cannot_be_used_is_refused_at_its_line() {
             "one.csv",
             format!("[[station]]\nname = \"s\"\n{}{}", nest(1), nest(2)),
             "s.toml:3: ",
-            "2 base nests were measured, at least 3",
+            "2 base nests were measured: placing the tracker needs at least 3",
             "or none",
         ),
         (
@@ -693,7 +693,7 @@ fn a_session_file_that_cannot_be_used_is_refused_at_its_line() {
             "one.csv",
             target("A", "") + &target("A", ""),
             "s.toml:7: ",
-            "target \"A\" is there twice",
+            "target \"A\" appears twice",
             "distinct names",
         ),
         (
@@ -723,7 +723,7 @@ fn a_session_file_that_cannot_be_used_is_refused_at_its_line() {
         assert_refused(&sandbox, &arguments, place, message, expected);
     }
     let arguments = ["identify", "--model", UR5, "--measurements", "one.csv", "--session", "none.toml"];
-    assert_refused(&sandbox, &arguments, "cannot read none.toml", "No such file", "a file of UTF-8 text");
+    assert_refused(&sandbox, &arguments, "cannot read none.toml", "No such file", "a text file in UTF-8");
 }
 
 #[test]
@@ -744,14 +744,14 @@ fn targets_of_the_robots_file_that_cannot_be_used_are_refused_at_their_line() {
             "two.csv",
             format!("[[target]]\nname = \"SMR\"\n{at}"),
             2,
-            "no reading names what is stated, SMR; measured are A, B",
+            "no reading names a stated target, SMR; measured are A, B",
             "--session",
         ),
         (
             "two.csv",
             format!("[target]\n{at}sigma_mm = 0.02\n"),
             3,
-            "the target has no name, and 2 are measured: A, B",
+            "the target has no name, but 2 are measured: A, B",
             "name = ",
         ),
     ] {
@@ -787,7 +787,7 @@ fn a_column_that_names_every_shot_is_refused() {
         &sandbox,
         &["identify", "--model", UR5, "--measurements", "shots.csv"],
         "shots.csv:2: ",
-        "40 targets with one reading each tell nothing of the robot: the column target names the shot",
+        "40 targets with one reading each say nothing about the robot: the column target names the shot",
         "no target column",
     );
 }

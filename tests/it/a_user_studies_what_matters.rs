@@ -168,13 +168,13 @@ fn what_is_wrong_with_a_campaign_is_told_at_its_place() {
         ("[campaign]\ntrials = 0\n".to_owned(), "campaign.trials is 0", "1 or more"),
         (
             "[campaign]\nrepeats = 3\n".to_owned(),
-            "campaign.repeats is of another design",
+            "campaign.repeats belongs to another design",
             "design = \"sweep\"",
         ),
         ("[campaign]\ndesign = \"sweep\"\n".to_owned(), "nothing varies", "[[campaign.factor]]"),
         ("[campaign]\ndesign = \"grid\"\n".to_owned(), "campaign.design is \"grid\"", "sweep"),
         (format!("[campaign]\n{factor}levels = [1]\n"), "which value varies?", "tracker.random_fraction"),
-        (format!("[campaign]\n{factor}{noise}"), "what can it be?", "distribution = \"uniform\""),
+        (format!("[campaign]\n{factor}{noise}"), "it states no values", "distribution = \"uniform\""),
         (
             format!("[campaign]\n{factor}key = \"tracker.no_key\"\nlevels = [1]\n"),
             "this file has no value of tracker.no_key",
@@ -193,7 +193,7 @@ fn what_is_wrong_with_a_campaign_is_told_at_its_place() {
         (
             format!("[campaign]\n{factor}{noise}distribution = \"uniform\"\nlow = 0.5\nhigh = 0.1\n"),
             "campaign.factor: ",
-            "a distribution that there is",
+            "the distribution that is stated",
         ),
         (
             format!("[campaign]\n{factor}{noise}distribution = \"gauss\"\n"),
@@ -215,9 +215,9 @@ fn what_is_wrong_with_a_campaign_is_told_at_its_place() {
                 "[campaign]\n{factor}{noise}levels = [0.1]\n{factor}name = \"b\"\n{noise}levels = [0.2]\n"
             ),
             "change the same value",
-            "one factor a value",
+            "one factor per value",
         ),
-        (format!("[campaign]\n{factor}{noise}levels = []\n"), "levels is empty", "one value or more"),
+        (format!("[campaign]\n{factor}{noise}levels = []\n"), "levels is empty", "one value"),
         (
             format!("[campaign]\n{factor}key = \"tracker.nest\"\nlevels = [1]\n"),
             "tracker.nest is a table",
@@ -250,5 +250,5 @@ fn what_is_wrong_with_a_campaign_is_told_at_its_place() {
     let arguments = ["montecarlo", SCENARIO, "--plant", "analytic", "--trials", "7", "--out", "out"];
     assert_refused(&sandbox, &arguments, "--trials", "does not fit", "a multiple of 3 trials");
     let arguments = ["run", SCENARIO, "--plant", "analytic", "--trial", "1000"];
-    assert_refused(&sandbox, &arguments, SCENARIO, "no trial 1000", "a number of trials");
+    assert_refused(&sandbox, &arguments, SCENARIO, "no trial 1000", "a trial number below the number of trials");
 }

@@ -143,7 +143,7 @@ fn sweeps_that_a_station_does_not_see_are_told_with_what_hides_them() {
     for told in [
         "of the 36 places of the sweeps",
         "wrist hides the target from the tracker",
-        "two sweeps need 5 places each",
+        "each of two sweeps needs 5 places",
     ] {
         assert!(refused.stderr.contains(told), "{told}: {refused:?}");
     }

@@ -365,7 +365,7 @@ fn files_are_made_from_a_recording_and_again_from_the_estimate() {
     for name in FILES {
         assert!(sandbox.path("calibrated").join(name).is_file(), "{name}");
     }
-    assert!(!ended.stderr.contains("differs from what is recorded"), "{ended:?}");
+    assert!(!ended.stderr.contains("differs from the recording"), "{ended:?}");
     let estimate = EstimateFile::read(&sandbox.path("calibrated/estimate.json")).expect("as written");
     assert_eq!(estimate.estimate.robot, PAINTER.modes.last().expect("modes").robot);
     assert_eq!(estimate.robot.model_sha256, model_sha256(&PAINTER.model));

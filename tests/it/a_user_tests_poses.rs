@@ -181,7 +181,7 @@ fn a_cube_out_of_reach_is_refused_with_the_pose_and_the_distance() {
         &[
             "the test cube: P",
             "of the cube of 3000 mm",
-            "the nearest that was found is",
+            "the nearest point found is",
             "mm away",
             "expected a smaller cube",
         ],
@@ -332,7 +332,7 @@ fn repeatability_needs_no_registration_and_accuracy_says_why_it_is_left_out() {
     assert_eq!(target["accuracy"].as_array().map(Vec::len), Some(0));
     let remarks = json["remarks"].to_string();
     for part in [
-        "no accuracy by nests: nothing is stated of the offset of target SMR",
+        "no accuracy by nests: the offset of target SMR",
         "no accuracy by a best fit: it would fit 9 numbers to the 15 coordinates",
         "4 cycles: the standard asks for 30",
     ] {
@@ -356,13 +356,13 @@ fn cycles_that_are_none_are_refused_with_what_to_do() {
     refused(
         &rows[..6],
         &[],
-        &["none of the 5 poses of target SMR was measured more than once", "expected a row for every cycle"],
+        &["none of the 5 poses of target SMR was measured more than once", "expected one row per cycle"],
     );
     refused(&rows[..7], &[], &["only pose 1 of target SMR was measured more than once"]);
     refused(
         &rows[..20],
         &[],
-        &["pose 5 was measured in 3 cycles, pose 1 in 4", "--cycles N takes the first N of every pose"],
+        &["pose 5 was measured in 3 cycles, pose 1 in 4", "--cycles N uses the first N of every pose"],
     );
     refused(
         &rows[..20],

@@ -119,8 +119,8 @@ fn what_is_simulated_all_the_same_is_told() {
     let probe = "[[session.target]]\nname = \"B\"\nx_mm = 100\ny_mm = 0\nz_mm = 100\n[tracker.pose]\nrotation_sigma_deg = 0.003\n";
     for (instead, more, told) in [
         ("random_fraction = 0.5", "", "pass their own acceptance test"),
-        (NOISE, station, "stations \"1\" and \"2\" stand in one place"),
-        (NOISE, probe, "refuses a recording of them"),
+        (NOISE, station, "stations \"1\" and \"2\" are at the same place"),
+        (NOISE, probe, "refuses a recording of both"),
     ] {
         let ended = checked(&sandbox, NOISE, instead, more);
         assert_eq!(ended.code, Some(0), "{told}: {ended:?}");

@@ -89,7 +89,7 @@ fn wrong_usage_ends_with_2_and_says_what_was_expected() {
         (vec!["choose", "--model", ROBOT], "--measurements <[TARGET=]FILE>"),
         (vec!["choose", "--urdf", "a.urdf"], "--measurements <[TARGET=]FILE>"),
         (identify(&["--urdf", "a.urdf"]), "cannot be used with"),
-        (identify(&["--tip", "tool0"]), "--tip: expected --urdf beside it"),
+        (identify(&["--tip", "tool0"]), "--tip: expected --urdf with it"),
         (vec!["model", "from-dh", "t.csv", "--out", "o"], "--convention <CONVENTION>"),
         (vec!["model", "from-urdf", "a.urdf"], "--out <DIR>"),
         (vec!["scenario", "new", "--model", ROBOT], "--out <FILE>"),
@@ -108,7 +108,7 @@ fn wrong_usage_ends_with_2_and_says_what_was_expected() {
         ),
         (
             vec!["model", "from-urdf", "a.urdf", "--out", "o", "--target-mm", "1,2"],
-            "expected three numbers of mm with commas between",
+            "expected three numbers of mm separated by commas,",
         ),
         (vec!["choose", SCENARIO, "--folds", "1"], "1 is not in 2.."),
         (vec!["identifiability", SCENARIO, "--model", ROBOT], "cannot be used with"),
@@ -462,7 +462,7 @@ fn a_place_that_cannot_be_written_to_is_found_before_the_run() {
         );
         for (out, taken) in [("html", "html/report.html"), ("json", "json/report.json")] {
             let place = format!("cannot write to the folder {out}: {taken} is a folder");
-            assert_refused(&sandbox, &to(out), &place, "", "no folder of that name");
+            assert_refused(&sandbox, &to(out), &place, "", "the name of a folder;");
         }
     }
     let out = ["run", SCENARIO, "--out", "recorded"];
@@ -471,7 +471,7 @@ fn a_place_that_cannot_be_written_to_is_found_before_the_run() {
         &out,
         "cannot write to the folder recorded: ",
         "recording.mcap is a folder",
-        "no folder of that",
+        "the name of a folder;",
     );
     // `identify` writes no recording.
     assert_eq!(sandbox.run([&identify[..], &["recorded"]].concat()).code, Some(0));

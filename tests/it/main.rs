@@ -15,6 +15,8 @@ mod a_user_corrects_commands;
 mod a_user_counts_axes_otherwise;
 mod a_user_drives_corrected_commands;
 mod a_user_exchanges_files;
+#[cfg(unix)]
+mod a_user_follows_the_guide;
 mod a_user_has_a_copy_of_another_writer;
 mod a_user_has_a_damaged_recording;
 #[cfg(unix)]

@@ -45,13 +45,23 @@ impl Ended {
 
 impl Sandbox {
     pub fn new() -> Self {
-        let sandbox = Self { folder: tempfile::tempdir().expect("a temporary folder") };
-        for folder in ["models", "scenarios"] {
-            copy(&Path::new(env!("CARGO_MANIFEST_DIR")).join(folder), &sandbox.path(folder));
-        }
+        let sandbox = Self::with(&["models", "scenarios"]);
         sandbox.switch_effects_off();
         sandbox.switch_instrument_off();
         sandbox.drive_nothing_again();
+        sandbox
+    }
+
+    /// With everything as it is in the repository, recordings too.
+    pub fn as_shipped() -> Self {
+        Self::with(&["models", "scenarios", "recordings"])
+    }
+
+    fn with(folders: &[&str]) -> Self {
+        let sandbox = Self { folder: tempfile::tempdir().expect("a temporary folder") };
+        for folder in folders {
+            copy(&Path::new(env!("CARGO_MANIFEST_DIR")).join(folder), &sandbox.path(folder));
+        }
         sandbox
     }
 

@@ -1,4 +1,4 @@
-//! Which point of a study a trial is: a function of the design, the seed and the trial's number, and of nothing else.
+//! Which point of a study a trial is: a function of only the design, the seed and the trial's number.
 
 use calibrig_model::random::{Source, stream};
 use rand::distr::Open01;
@@ -6,9 +6,9 @@ use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// Factors that a study may have: the dimensions of the Sobol sequence.
+/// Most factors of a study: the dimensions of the Sobol sequence.
 pub const MOST_FACTORS: usize = 256;
-/// Levels of a factor in a screening.
+/// Most levels of a factor in a screening.
 pub const MOST_LEVELS: usize = 1 << 16;
 /// Draws are numbered with 32 bits.
 const MOST_DRAWS: u64 = 1 << 32;
@@ -22,7 +22,7 @@ pub enum Sampling {
     /// Independent points.
     #[default]
     Random,
-    /// Points of a Sobol sequence with Owen's scrambling, which are spread more evenly: means over factors that act smoothly have a smaller error.
+    /// Points of a Sobol sequence with Owen's scrambling, which are spread more evenly: means over smoothly acting factors have a smaller error.
     ///
     /// From the crate `sobol_burley`, with 23 bits a coordinate, each in the middle of its cell. A sequence has 2^16 points; after that the next
     /// begins, scrambled afresh: blocks of 2^16 points are independent randomised replicates, so that from there on errors fall with the root of
@@ -33,16 +33,16 @@ pub enum Sampling {
     Sobol,
 }
 
-/// What a study consists of. A *draw* is everything random in a trial that is no factor, such as machine, noise and poses: trials with the same
-/// draw differ by their factors alone.
+/// What a study consists of. A *draw* is everything random in a trial except the factors, such as machine, noise and poses: trials with the
+/// same draw differ only by their factors.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "design", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Design {
-    /// Trials with a draw and a point of their own: trial n is draw n.
+    /// Trials with a separate draw and point each: trial n is draw n.
     Plain {
         /// How many.
         trials: u64,
-        /// How many factors vary; without any, draws alone differ.
+        /// How many factors vary; without any, only the draws differ.
         factors: usize,
         /// How their points are spread.
         sampling: Sampling,
@@ -50,15 +50,15 @@ pub enum Design {
     /// All combinations of the levels of one or two factors, with common random numbers: trial n is combination n / repeats with draw
     /// n % repeats. The last factor changes fastest.
     Sweep {
-        /// How many levels each factor has.
+        /// Number of levels of each factor.
         levels: Vec<usize>,
-        /// How many trials each combination has.
+        /// Number of trials of each combination.
         repeats: u64,
     },
     /// First-order and total sensitivity indices of k factors from base × (k + 2) trials: see [`SobolSums`](crate::sensitivity::SobolSums). For
-    /// row j of the base there are, one after another, the points A and B, and k points that are A but for one factor, which is B's.
+    /// row j of the base there are, in order, the points A and B, and k points equal to A except for one factor, which is B's.
     ///
-    /// Where draws count as a factor, they are the last of k = factors + 1: A has draw 2j, B has draw 2j + 1. Otherwise k = factors and every trial has
+    /// If draws count as a factor, they are the last of k = factors + 1: A has draw 2j, B has draw 2j + 1. Otherwise k = factors and every trial has
     /// draw 0: for studies in which nothing else is random, or of one machine with one noise.
     ///
     /// Source: A. Saltelli et al., "Variance based sensitivity analysis of model output. Design and estimator for the total sensitivity index",
@@ -68,7 +68,7 @@ pub enum Design {
         base: u64,
         /// How many factors vary.
         factors: usize,
-        /// Whether the draws are a factor of their own.
+        /// Whether the draws count as a factor.
         draws: bool,
         /// How the base is spread. A and B are one point of twice as many dimensions.
         sampling: Sampling,
@@ -90,10 +90,10 @@ pub enum Design {
     },
 }
 
-/// Where a factor is in a trial.
+/// The place of a factor in a trial.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Coordinate {
-    /// The share of the factor's distribution that is below, above 0 and below 1.
+    /// The share of the factor's distribution below it, above 0 and below 1.
     Unit(f64),
     /// The number of the factor's level, from zero.
     Level(usize),
@@ -121,37 +121,37 @@ pub struct Step {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 #[non_exhaustive]
 pub enum DesignError {
-    /// Nothing to do.
+    /// An empty study.
     #[error("the number of {what} is 0; there must be at least one")]
     None {
         /// Of what.
         what: &'static str,
     },
     /// More draws than numbers of draws.
-    #[error("the study has {draws} draws; {MOST_DRAWS} are the most")]
+    #[error("the study has {draws} draws; at most {MOST_DRAWS} are possible")]
     TooManyDraws {
         /// How many.
         draws: u64,
     },
     /// More trials than can be counted.
-    #[error("the study has more trials than can be counted")]
+    #[error("the study has more trials than can be counted; use fewer draws or fewer factors")]
     TooManyTrials,
     /// More factors than dimensions.
-    #[error("{factors} factors vary; {most} are the most in this design")]
+    #[error("{factors} factors vary; this design takes at most {most}")]
     TooManyFactors {
         /// How many.
         factors: usize,
         /// The most.
         most: usize,
     },
-    /// A sweep of many factors.
+    /// A sweep of too many factors.
     #[error("the sweep is over {factors} factors; it can be over one or two")]
     SweptFactors {
         /// How many.
         factors: usize,
     },
-    /// A grid without a middle, or one that is no grid any more.
-    #[error("a screening has {levels} levels; it must be an even number up to {MOST_LEVELS}, such as 4")]
+    /// A grid without a middle, or one that is too fine.
+    #[error("a screening has {levels} levels; it needs an even number of at most {MOST_LEVELS}, such as 4")]
     OddLevels {
         /// How many.
         levels: usize,
@@ -171,7 +171,7 @@ fn numbered(draws: u64) -> Result<(), DesignError> {
 }
 
 impl Design {
-    /// Whether there is such a design.
+    /// Whether the design is valid.
     pub fn check(&self) -> Result<(), DesignError> {
         match self {
             Self::Plain { trials, factors, .. } => {
@@ -181,10 +181,10 @@ impl Design {
             }
             Self::Sweep { levels, repeats } => check_sweep(levels, *repeats),
             Self::Indices { base, factors, draws, .. } => {
-                some("rows of the base", *base)?;
+                some("rows of the base design", *base)?;
                 some("factors", *factors as u64)?;
                 at_most(*factors, MOST_FACTORS / 2)?;
-                // Also where the draws are no factor: points are numbered as draws are.
+                // Also if the draws are not a factor: points are numbered as draws are.
                 numbered(if *draws { base.saturating_mul(2) } else { *base })
             }
             Self::Screening { trajectories, factors, levels } => {
@@ -200,7 +200,7 @@ impl Design {
         }
     }
 
-    /// How many trials there are. Where [`check`](Self::check) refuses the design, the number may be too small.
+    /// Number of trials. If [`check`](Self::check) refuses the design, it may be too small.
     pub fn trials(&self) -> u64 {
         match self {
             Self::Plain { trials, .. } => *trials,
@@ -210,7 +210,7 @@ impl Design {
         }
     }
 
-    /// How many trials belong together, one after another: those of a combination, of a row of the base, of a trajectory.
+    /// Number of consecutive trials that belong together: those of a combination, of a row of the base, of a trajectory.
     pub fn group(&self) -> u64 {
         match self {
             Self::Plain { .. } => 1,
@@ -220,7 +220,7 @@ impl Design {
         }
     }
 
-    /// How many factors there are, with the draws where they count as one.
+    /// Number of factors, including the draws if they count as one.
     pub fn factors(&self) -> usize {
         match self {
             Self::Plain { factors, .. } | Self::Screening { factors, .. } => *factors,
@@ -250,8 +250,8 @@ impl Design {
         }
     }
 
-    /// What trial `n` of a screening changed since trial `n - 1`; `None` for the first of a trajectory, where [`point`](Self::point) says nothing, and
-    /// for other designs.
+    /// What trial `n` of a screening changed since trial `n - 1`; `None` for the first of a trajectory, where only [`point`](Self::point) applies,
+    /// and for other designs.
     pub fn step(&self, seed: u64, n: u64) -> Option<Step> {
         let (group, within) = self.place(n)?;
         let Self::Screening { factors, levels, .. } = self else { return None };
@@ -260,7 +260,7 @@ impl Design {
         Some(Step { factor, change: if trajectory.rises[factor] { 0.5 } else { -0.5 } })
     }
 
-    /// Group of trial `n` and its place there, where there is such a trial. The combinations of a sweep fit as well: its check sees to it.
+    /// Group of trial `n` and its place there, if the trial exists. The combinations of a sweep fit as well: its check guarantees it.
     fn place(&self, n: u64) -> Option<(u32, u64)> {
         self.check().ok()?;
         let group = self.group();
@@ -324,7 +324,7 @@ impl Sampling {
             Self::Sobol => {
                 let block = scramble(seed).wrapping_add(index >> SOBOL_BITS);
                 let within = index & ((1 << SOBOL_BITS) - 1);
-                // The check has seen that there are so many dimensions.
+                // The check guarantees this many dimensions.
                 (0..sobol_burley::NUM_DIMENSIONS)
                     .take(dimensions)
                     .map(|d| centred(within, d, block))
@@ -341,7 +341,7 @@ impl Sampling {
     }
 }
 
-/// Where the scramblings of a seed's blocks begin. They are counted from there, so that no two blocks of a study are alike.
+/// Where the scramblings of a seed's blocks begin. They are counted from there, so that all blocks of a study differ.
 fn scramble(seed: u64) -> u32 {
     stream(seed, 0, Source::Factors).next_u32()
 }
@@ -352,7 +352,7 @@ fn centred(index: u32, dimension: u32, block: u32) -> f64 {
     f64::from(sobol_burley::sample(index, dimension, block)) + HALF_A_CELL
 }
 
-/// The way of a screening through the grid.
+/// The path of a screening through the grid.
 struct Trajectory {
     /// The lower level of every factor.
     low: Vec<usize>,
@@ -388,8 +388,8 @@ impl Trajectory {
     }
 }
 
-/// A number below `count`, which is far below 2^32: the upper half of a product of 32 by 32 bits, uneven by `count` parts in 2^32. Written here because
-/// the numbers that `rand` gives for a range are its own affair, and may change.
+/// A number below `count`, which is far below 2^32: the upper half of a product of 32 by 32 bits, uneven by `count` parts in 2^32. Written here
+/// because `rand` may change the numbers that it gives for a range.
 fn below(rng: &mut impl Rng, count: usize) -> usize {
     let product = u64::from(rng.next_u32()).wrapping_mul(count as u64);
     usize::try_from(product >> 32).unwrap_or(0)

@@ -4,7 +4,7 @@ use calibrig_model::statistics::normal_quantile;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// How the values of a factor are spread, in the factor's own unit.
+/// The distribution of a factor's values, in the factor's own unit.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "distribution", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Distribution {
@@ -32,16 +32,16 @@ pub enum Distribution {
     /// The logarithm is normal.
     #[serde(rename = "lognormal")]
     LogNormal {
-        /// As many are below as above; above zero.
+        /// The median, above zero.
         median: f64,
-        /// Standard deviation of the natural logarithm, above zero: about the relative scatter where it is small.
+        /// Standard deviation of the natural logarithm, above zero: about the relative scatter if it is small.
         sigma_ln: f64,
     },
-    /// From a smallest by way of a likeliest to a largest value.
+    /// From a smallest via a most likely to a largest value.
     Triangular {
         /// The smallest.
         low: f64,
-        /// The likeliest; it may be the smallest or the largest.
+        /// The most likely; it may be the smallest or the largest.
         mode: f64,
         /// The largest.
         high: f64,
@@ -52,7 +52,7 @@ pub enum Distribution {
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[non_exhaustive]
 pub enum DistributionError {
-    /// A number that none can be.
+    /// A number that is not valid.
     #[error("`{name}` is {value}; it must be a finite number")]
     NotFinite {
         /// Which.
@@ -76,15 +76,15 @@ pub enum DistributionError {
         /// As it was given.
         high: f64,
     },
-    /// A range that no number can express the width of.
-    #[error("from {low} to {high} is too far for a floating-point number")]
+    /// A range whose width no number can express.
+    #[error("the range from {low} to {high} is too wide for a floating-point number")]
     TooWide {
         /// As it was given.
         low: f64,
         /// As it was given.
         high: f64,
     },
-    /// A likeliest value that cannot occur.
+    /// A most likely value outside the range.
     #[error("`mode` is {mode}; it must be between `low`, {low}, and `high`, {high}")]
     Mode {
         /// As it was given.
@@ -115,7 +115,7 @@ fn range(low: f64, high: f64) -> Result<(), DistributionError> {
 }
 
 impl Distribution {
-    /// Whether there is such a distribution.
+    /// Whether the distribution is valid.
     pub fn check(&self) -> Result<(), DistributionError> {
         match *self {
             Self::Uniform { low, high } => range(low, high),
@@ -142,8 +142,8 @@ impl Distribution {
         }
     }
 
-    /// The value below which the share `u` lies. What is nearer to 0 or 1 than 2^-53 is taken to be 2^-53 away, so that a value is finite: 8.2
-    /// standard deviations are the most that a normal one is off. Not a number where `u` is not one.
+    /// The value below which the share `u` lies. A share closer to 0 or 1 than 2^-53 is moved to 2^-53, so that the value is finite: a normal
+    /// one is at most 8.2 standard deviations off. NaN if `u` is NaN.
     pub fn quantile(&self, u: f64) -> f64 {
         const NEXT_TO_NOTHING: f64 = 0.5 * f64::EPSILON;
         let u = u.clamp(NEXT_TO_NOTHING, 1.0 - NEXT_TO_NOTHING);
@@ -164,14 +164,14 @@ impl Distribution {
     }
 }
 
-/// `f64::clamp` ends the program where the limits are in the wrong order.
+/// `f64::clamp` panics if the limits are in the wrong order.
 trait ClampTo {
     fn clamp_to(self, low: f64, high: f64) -> f64;
 }
 
 impl ClampTo for f64 {
     fn clamp_to(self, low: f64, high: f64) -> f64 {
-        // `max` and `min` drop what is not a number.
+        // `max` and `min` drop NaN.
         if self.is_nan() { self } else { self.max(low).min(high) }
     }
 }

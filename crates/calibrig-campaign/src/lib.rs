@@ -1,6 +1,7 @@
-//! Studies of many trials: what varies and how it is drawn, tables of rows in Parquet, shards that make one table, and what it says.
+//! Studies of many trials: what varies and how it is drawn, tables of rows in Parquet, shards that make one table, and its
+//! statistics.
 //!
-//! Nothing here knows a robot: a trial is a number, a point of a design and a row.
+//! This crate knows nothing about robots: a trial is a number, a point of a design and a row.
 
 pub mod design;
 pub mod distribution;

@@ -1,7 +1,7 @@
 //! Job files: the shards of a campaign as a job array of Slurm, `HyperQueue` or Kubernetes.
 //!
-//! A scheduler only runs shards. What is there afterwards, the files of the shards say (`calibrig missing`), never the scheduler. What was run of
-//! these files, and with which versions, is in `docs/cluster.md`.
+//! A scheduler only runs shards. What is done is decided by the shards' files (`calibrig missing`), never by the scheduler. `docs/cluster.md`
+//! says which of these files were run, with which versions.
 //!
 //! ```
 //! use std::path::PathBuf;
@@ -26,13 +26,14 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-/// Where tasks write what they say, below the campaign's folder. Slurm does not make it: who writes the job file does.
+/// Folder for the tasks' output, below the campaign's folder. Slurm does not create it: the writer of the job file
+/// does.
 pub const LOGS: &str = "logs";
-/// Most tasks of an array where a Slurm was not told otherwise (its `MaxArraySize` of 1001: the largest number is 1000).
+/// Most tasks of an array in a Slurm with default settings (its `MaxArraySize` of 1001: the largest number is 1000).
 const SLURM_TASKS: u32 = 1001;
 /// Most pods of a job at the same time, unless it is adapted.
 const PODS: u32 = 100;
-/// Letters of a job's name: Kubernetes makes names of 63 at most, of it and a number.
+/// Letters of a job's name: Kubernetes builds names of at most 63 from it and a number.
 const NAME: usize = 40;
 
 /// What runs the shards.
@@ -69,24 +70,24 @@ impl Scheduler {
     }
 }
 
-/// A campaign in shards, as a scheduler is told of it.
+/// A campaign in shards, as described to a scheduler.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct JobPlan {
     /// The path of `calibrig` on the machines that run the shards.
     pub program: PathBuf,
-    /// The folder from which relative paths of the scenario and of `arguments` count: an absolute path.
+    /// The folder to which relative paths of the scenario and of `arguments` refer: an absolute path.
     pub folder: PathBuf,
     /// The scenario file.
     pub scenario: PathBuf,
     /// Trials of the campaign.
     pub trials: u64,
-    /// What else fixes the campaign, as `calibrig montecarlo` takes it (`--seed 7`): neither trials, threads, shard nor folder.
+    /// What else determines the campaign, as flags of `calibrig montecarlo` (`--seed 7`): not trials, threads, shard or folder.
     pub arguments: Vec<String>,
     /// Threads of a shard, at least one: the processors that a task asks for.
     pub threads: u16,
     /// Shards of the campaign, at least one: the tasks of the array.
     pub shards: u32,
-    /// The campaign's folder: an absolute path, which all machines see as the same.
+    /// The campaign's folder: an absolute path, the same on all machines.
     pub out: PathBuf,
 }
 
@@ -96,7 +97,7 @@ pub struct JobPlan {
 pub enum PlanError {
     /// No scheduler takes an empty array.
     #[error(
-        "a campaign for a scheduler has at least one shard and one thread a shard (here {shards} and {threads})"
+        "a campaign for a scheduler needs at least one shard and one thread per shard (here {shards} and {threads})"
     )]
     Nothing {
         /// Shards that were asked for.
@@ -105,26 +106,27 @@ pub enum PlanError {
         threads: u16,
     },
     /// Job files are text.
-    #[error("'{}' is not UTF-8, and a job file is: give the folder or file another name", .0.display())]
+    #[error("'{}' is not UTF-8, which a job file must be: rename the folder or file", .0.display())]
     NotText(PathBuf),
     /// A line break would end a setting, or a comment.
     #[error(
-        "{0:?} holds a control character, which a job file cannot hold: give the folder or file another name"
+        "{0:?} contains a control character, which a job file cannot hold: rename the folder or file"
     )]
     ControlCharacter(String),
     /// Tasks start in folders of their own.
-    #[error("the path '{0}' is relative, and a job file needs an absolute one")]
+    #[error("the path '{0}' is relative; a job file needs an absolute path")]
     Relative(String),
     /// Kubernetes refuses it.
-    #[error("Kubernetes mounts nothing at a path with a colon, as '{0}' has: give the folder another name")]
+    #[error("Kubernetes cannot mount a path with a colon, such as '{0}': rename the folder")]
     Colon(String),
 }
 
 impl JobPlan {
-    /// The text of the job file, to be written to [`file_name`](Scheduler::file_name) in the campaign's folder, beside a folder [`LOGS`].
+    /// The text of the job file, to be written to [`file_name`](Scheduler::file_name) in the campaign's folder, next to a folder
+    /// [`LOGS`].
     ///
     /// # Errors
-    /// Where a path is not text in one line, or a folder's is relative; where there is no shard or no thread.
+    /// If a path is not text in one line, or a folder's is relative; if there is no shard or no thread.
     pub fn job_file(&self, scheduler: Scheduler) -> Result<String, PlanError> {
         let words = self.words(scheduler)?;
         Ok(match scheduler {
@@ -134,7 +136,7 @@ impl JobPlan {
         })
     }
 
-    /// What to type to run the job file, to run again what is missing, and to make one table of it: lines for a shell.
+    /// The commands that run the job file, run again what is missing, and make one table of it: lines for a shell.
     ///
     /// # Errors
     /// As [`job_file`](Self::job_file).
@@ -168,7 +170,7 @@ impl JobPlan {
         Ok(words)
     }
 
-    /// The command of a shard; `number` is put in as it is.
+    /// The command of a shard; `number` is inserted as it is.
     fn command(&self, words: &Words, number: &str, word: impl Fn(&str) -> String) -> Vec<String> {
         let trials = self.trials.to_string();
         let mut command: Vec<String> =
@@ -180,7 +182,7 @@ impl JobPlan {
         command
     }
 
-    /// The head of a job file, which says what it is and what to type.
+    /// The head of a job file: what it is, and the commands to type.
     fn head(&self, words: &Words, scheduler: Scheduler, name: &str) -> String {
         let Commands { submit, missing, again, merge } = words.commands(scheduler);
         format!(
@@ -197,8 +199,9 @@ impl JobPlan {
         if self.shards > SLURM_TASKS {
             let _ = writeln!(
                 script,
-                "# {} tasks are more than Slurm's arrays have where it was not told otherwise ({SLURM_TASKS}). Yours:\n\
-                 #   scontrol show config | grep MaxArraySize\n# Where that is smaller than {0}, plan again with fewer shards.",
+                "# {} tasks are more than Slurm allows in an array by default ({SLURM_TASKS}). To see your cluster's \
+                 limit:\n#   scontrol show config | grep MaxArraySize\n# If it is smaller than {0}, plan again with fewer \
+                 shards.",
                 self.shards
             );
         }
@@ -213,9 +216,10 @@ impl JobPlan {
             "#SBATCH --mem=1G\n# Run a task again whose node failed, and go on with its log.\n#SBATCH --requeue\n#SBATCH --open-mode=append\n\
              # A minute before its time is over, a task is told to keep the trials that are done.\n#SBATCH --signal=B:TERM@60\n",
         );
-        // Slurm takes a backslash for a sign that nothing in the path stands for something else, and drops it.
+        // In Slurm a backslash turns off all substitutions in the path, and is dropped.
         if words.logs.contains('\\') {
-            script.push_str("# Slurm knows no file with a backslash in its path: what tasks say goes to slurm-*.out where you submit this.\n");
+            script.push_str("# Slurm cannot write to a path with a backslash: the output of the tasks goes to slurm-*.out in \
+                             the folder where you submit this.\n");
         } else {
             let logs = words.logs.replace('"', "\\\"").replace('%', "%%");
             let _ = writeln!(script, "#SBATCH --output=\"{logs}/slurm-%A_%a.log\"");
@@ -305,9 +309,9 @@ impl JobPlan {
 pub struct Commands {
     /// Runs all shards.
     pub submit: String,
-    /// Prints what is not there.
+    /// Prints what is missing.
     pub missing: String,
-    /// Runs what is not there.
+    /// Runs what is missing.
     pub again: String,
     /// Makes one table of all.
     pub merge: String,
@@ -332,7 +336,7 @@ impl Words {
             Scheduler::HyperQueue => {
                 (format!("hq submit {file}"), format!("hq submit --array=\"$({missing})\" {file}"))
             }
-            // A Job takes no list of indices: where a shard is there, its pod ends at once. kubectl takes a comma or quote in a path for something else.
+            // A Job takes no list of indices: if a shard is there, its pod ends at once. kubectl gives a comma or quote in a path a special meaning.
             Scheduler::Kubernetes => {
                 (format!("kubectl apply -f - <{file}"), format!("kubectl replace --force -f - <{file}"))
             }
@@ -345,7 +349,7 @@ fn text(path: &Path) -> Result<String, PlanError> {
     one_line(path.to_str().ok_or_else(|| PlanError::NotText(path.to_owned()))?)
 }
 
-/// Refuses what ends a line for a shell or for YAML, and what neither shows.
+/// Refuses characters that end a line for a shell or for YAML, and invisible ones.
 fn one_line(word: &str) -> Result<String, PlanError> {
     let unseen = |c: char| c.is_control() || "\u{2028}\u{2029}\u{feff}".contains(c);
     if word.contains(unseen) {
@@ -355,7 +359,7 @@ fn one_line(word: &str) -> Result<String, PlanError> {
     }
 }
 
-/// A word as a POSIX shell takes it back, in quotes where it needs them.
+/// A word quoted for a POSIX shell if necessary.
 #[must_use]
 pub fn quoted(word: &str) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "/._-+=:@%".contains(c);

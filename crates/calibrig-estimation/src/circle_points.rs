@@ -69,8 +69,8 @@ pub struct SweptAxis {
 pub enum SweepError {
     /// Fewer than two axes were moved alone.
     #[error(
-        "station {station}: of its sweeps {found} moved alone through {MIN_READINGS} places or more, expected two axes: add readings while one joint moves and all others rest, or \
-         place the tracker otherwise (by nests, or free)"
+        "station {station}: only {found} axes of its sweeps moved alone through {MIN_READINGS} places or more, expected two: \
+         add readings while one joint moves and all others rest, or place the tracker otherwise (by nests, or free)"
     )]
     TooFew {
         /// Name of the station.
@@ -80,7 +80,8 @@ pub enum SweepError {
     },
     /// The swept axes are parallel.
     #[error(
-        "station {station}: the swept axes ({axes}) do not place it, since they are parallel: sweep one that is not, or a turning one beside the first"
+        "station {station}: the swept axes ({axes}) do not place it, because they are parallel: sweep one that is not, or add \
+         a turning axis"
     )]
     Parallel {
         /// Name of the station.
@@ -90,7 +91,8 @@ pub enum SweepError {
     },
     /// A reading does not have one command per joint.
     #[error(
-        "station {station}: a reading of its sweeps has not {joints} commands, one a joint: is it of this robot?"
+        "station {station}: a reading of its sweeps does not have {joints} commands, one per joint: check that it is of this \
+         robot"
     )]
     AnotherRobot {
         /// Name of the station.
@@ -100,7 +102,8 @@ pub enum SweepError {
     },
     /// A sweep does not determine an axis.
     #[error(
-        "station {station}: the sweep of {axis} shows no axis, since {why}: sweep it farther, or with the target farther from it"
+        "station {station}: the sweep of {axis} does not determine the axis: {why}; sweep it farther, or with the target \
+         farther from it"
     )]
     NoAxis {
         /// Name of the station.
@@ -172,7 +175,7 @@ pub fn place_by_sweeps(
     station: usize,
 ) -> Result<(SweptPlace, SweptStation), SweepError> {
     let Some(station) = set.stations.get(station) else {
-        return Err(SweepError::TooFew { station: (station + 1).to_string(), found: "no axis".to_owned() });
+        return Err(SweepError::TooFew { station: (station + 1).to_string(), found: "no axis was found".to_owned() });
     };
     let mut joints = vec![0.0; model.kinematics.joint_count()];
     if station.sweeps.iter().any(|reading| reading.command.len() != joints.len()) {
@@ -187,7 +190,7 @@ pub fn place_by_sweeps(
     let runs = runs_of(&station.sweeps, &seen);
     let names = || {
         let names: Vec<_> = runs.iter().map(|run| model.kinematics.links[run.joint].name.as_str()).collect();
-        if names.is_empty() { "no axis".to_owned() } else { names.join(", ") }
+        if names.is_empty() { "no axis was found".to_owned() } else { names.join(", ") }
     };
     if runs.len() < 2 {
         return Err(SweepError::TooFew { station: station.name.clone(), found: names() });

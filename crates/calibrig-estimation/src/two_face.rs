@@ -57,7 +57,8 @@ pub struct TwoFaceEstimate {
 pub enum TwoFaceError {
     /// The other half of a pair is missing.
     #[error(
-        "pose {pose}, station \"{station}\", target \"{target}\": a back-face reading without its front face: measure the pose in the front face as well, or leave the reading out"
+        "pose {pose}, station \"{station}\", target \"{target}\": a back-face reading without its front-face reading: measure \
+         the pose in the front face as well, or leave the reading out"
     )]
     BackAlone {
         /// Number of the pose.
@@ -69,7 +70,8 @@ pub enum TwoFaceError {
     },
     /// A pose does not have one reading in each face.
     #[error(
-        "pose {pose}, station \"{station}\", target \"{target}\": {front} front-face and {back} back-face readings: expected one back face a front face"
+        "pose {pose}, station \"{station}\", target \"{target}\": {front} front-face and {back} back-face readings: expected \
+         one back face per front face"
     )]
     Unpaired {
         /// Number of the pose.
@@ -99,7 +101,7 @@ pub enum TwoFaceError {
     },
     /// A reading is not finite, or its covariance is missing or not positive definite.
     #[error(
-        "pair {pair}: a reading is no finite number or states no positive definite covariance, so that nothing can be weighed"
+        "pair {pair}: a reading is not a finite number or has no positive definite covariance, so it cannot be weighed"
     )]
     Covariance {
         /// Number of the pair, from one.
@@ -115,7 +117,8 @@ pub enum TwoFaceError {
     },
     /// There are too few points, or they lie in too few directions.
     #[error(
-        "{pairs} points in two faces do not tell {terms} errors apart: measure more, at other ranges and elevations, or state a standard deviation of each"
+        "{pairs} points in two faces do not determine {terms} errors separately: measure more, at other ranges and \
+         elevations, or state a standard deviation of each"
     )]
     Undetermined {
         /// Number of points.
@@ -232,9 +235,10 @@ impl fmt::Display for FaceDifference {
             [0, 1].map(|axis| format!("{:.1} +- {:.1} urad", 1e6 * self.mean[axis], 1e6 * self.sigma[axis]));
         write!(
             f,
-            "station {}: at {} points the back face differs from the front face by {azimuth} in azimuth (across the beam) and {elevation} in elevation, and \
-             nothing is stated of the instrument: state it ([station.instrument] of a session file), so that its errors are parameters, or average the faces \
-             (repeats = \"average\" in [rows] of a column map)",
+            "station {}: at {} points the back face differs from the front face by {azimuth} in azimuth (across the beam) and \
+             {elevation} in elevation, but the instrument's errors are not stated: state them ([station.instrument] of a \
+             session file), so that they are parameters, or average the faces (repeats = \"average\" in [rows] of a column \
+             map)",
             self.station, self.points
         )
     }

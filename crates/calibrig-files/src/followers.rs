@@ -1,4 +1,5 @@
-//! Joints that follow others have no command: files of measurements have no columns for them, measurements in memory a zero.
+//! Joints that follow others have no command: files of measurements have no columns for them, measurements in memory have a
+//! zero.
 
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::{CalibrationModel, JointKind};
@@ -9,7 +10,7 @@ pub fn commanded_joints(model: &CalibrationModel) -> Vec<JointKind> {
     links.filter(|(joint, _)| model.actuators.is_commanded(*joint)).map(|(_, link)| link.kind).collect()
 }
 
-/// Puts zeros where the columns of a file leave out joints that follow others.
+/// Inserts zeros where a file has no columns, for joints that follow others.
 pub fn add_followers(model: &CalibrationModel, set: &mut MeasurementSet) {
     let joints: Vec<bool> =
         (0..model.kinematics.joint_count()).map(|joint| model.actuators.is_commanded(joint)).collect();
@@ -24,7 +25,7 @@ pub fn add_followers(model: &CalibrationModel, set: &mut MeasurementSet) {
     }
 }
 
-/// A command of one number a joint, of the commands of those that are commanded.
+/// A command of one number per joint, from the commands of the commanded joints.
 pub fn with_followers(model: &CalibrationModel, commands: &[f64]) -> Vec<f64> {
     let joints: Vec<bool> =
         (0..model.kinematics.joint_count()).map(|joint| model.actuators.is_commanded(joint)).collect();
@@ -49,7 +50,7 @@ fn keep<T>(model: &CalibrationModel, values: &mut Vec<T>) {
     values.retain(|_| joint.next().is_some_and(|joint| model.actuators.is_commanded(joint)));
 }
 
-/// The values one after the other where a joint is commanded, the default elsewhere.
+/// The given values for commanded joints, the default for others.
 fn spread<T: Copy + Default>(commanded: &[bool], values: &[T]) -> Vec<T> {
     let mut values = values.iter().copied();
     commanded

@@ -14,9 +14,9 @@ const SCHEMA: &str = "calibrig.goals/1";
 /// How a tool is to be held.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum StatedHold {
-    /// Its point counts alone.
+    /// Only its point matters.
     Free,
-    /// The direction of one axis of it in the base frame, of any length but zero.
+    /// The direction of one of its axes in the base frame, of any length but zero.
     Axis(Vector3<f64>),
     /// `base_from_tool`.
     Rotation(Rotation3<f64>),
@@ -29,7 +29,7 @@ pub struct StatedGoal {
     pub name: String,
     /// Of the tool's point in the base frame, m.
     pub position: Vector3<f64>,
-    /// The same of all rows but for the numbers.
+    /// The same, except for the numbers, in all rows.
     pub held: StatedHold,
     /// s
     pub time: Option<f64>,
@@ -44,7 +44,7 @@ pub struct GoalTable {
     pub file: String,
     /// In their order; at least one.
     pub goals: Vec<StatedGoal>,
-    /// What was made of the file, in words.
+    /// Remarks on the file, in words.
     pub remarks: Vec<String>,
 }
 
@@ -61,7 +61,7 @@ impl GoalTable {
     }
 }
 
-/// A raster over a panel, in SI. What a panel is, is checked by whoever covers it.
+/// A raster over a panel, in SI. Whether the corners form a panel is checked where it is covered.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StatedRaster {
     /// In order around the panel, m in the base frame.
@@ -70,9 +70,9 @@ pub struct StatedRaster {
     pub pitch: f64,
     /// Between the points of a row, m.
     pub spacing: f64,
-    /// Of the tool's point in front of the panel, m.
+    /// Distance of the tool's point in front of the panel, m.
     pub standoff: f64,
-    /// Of the tool's point, m/s; `None` where it is not stated.
+    /// Of the tool's point, m/s; `None` if not stated.
     pub speed: Option<f64>,
 }
 
@@ -140,7 +140,7 @@ impl RasterTable {
         check_numbers(source, "raster.corners_mm", place.clone(), corners.as_flattened().iter())?;
         let &[a, b, c, d] = corners.as_slice() else {
             let message = format!("raster.corners_mm has {} corners", corners.len());
-            let help = "expected four corners in order around the panel, [x, y, z] each in the base frame";
+            let help = "expected four corners [x, y, z] in the base frame, in order around the panel";
             return Err(source.error(place, message, Some(help.to_owned())));
         };
         let length = |key: &str, value: &Spanned<f64>| {
@@ -179,7 +179,7 @@ impl GridTable {
         let held = match (&self.axis, rotation.read(source)?) {
             (Some(axis), Some(_)) => {
                 let help =
-                    "expected one of them: the direction of the tool's axis, or its rotation".to_owned();
+                    "expected only one of them: the direction of the tool's axis, or its full rotation".to_owned();
                 return Err(source.error(axis.span(), "grid has both axis and a rotation", Some(help)));
             }
             (Some(axis), None) => {
@@ -206,7 +206,7 @@ impl GridTable {
 /// Reads a TOML file of goals.
 ///
 /// # Errors
-/// [`InputError`] with the place: another schema, unknown keys, numbers that cannot be, and a file with neither `[raster]` nor `[grid]`.
+/// [`InputError`] with the place: another schema, unknown keys, invalid numbers, and a file with neither `[raster]` nor `[grid]`.
 pub fn load_goal_file(path: &Path) -> Result<GoalFile, InputError> {
     parse_goal_file(Source::read(path)?)
 }
@@ -225,8 +225,8 @@ pub fn parse_goal_file(source: Source) -> Result<GoalFile, InputError> {
     let grid = file.grid.map(|table| table.get_ref().read(&source)).transpose()?;
     if raster.is_none() && grid.is_none() {
         let help =
-            "expected [raster], a panel that the tool covers, or [grid], a box that offsets are wanted in";
-        return Err(source.error(0..0, "the file states no goals", Some(help.to_owned())));
+            "expected [raster], a panel that the tool covers, or [grid], a box of points where offsets are wanted";
+        return Err(source.error(0..0, "the file has neither [raster] nor [grid]", Some(help.to_owned())));
     }
     Ok(GoalFile { source, raster, grid })
 }
@@ -281,6 +281,6 @@ mod tests {
             assert!(text.contains(message) && text.contains(help), "{message}: {text}");
         }
         let nothing = parse_goal_file(Source::new("goals.toml", "schema = \"calibrig.goals/1\"\n"));
-        assert!(nothing.expect_err("refused").to_string().contains("states no goals"));
+        assert!(nothing.expect_err("refused").to_string().contains("has neither [raster] nor [grid]"));
     }
 }

@@ -1,4 +1,4 @@
-//! Reading of text files: every refusal names the file, the line and the key, and says what was expected.
+//! Reading of text files: every error names the file, the line and the key, and says what was expected.
 
 mod excerpt;
 mod toml_text;
@@ -31,7 +31,7 @@ pub struct Source {
 pub enum InputError {
     /// It cannot be opened or read.
     #[error("cannot read {}: {reason}", path.display())]
-    #[diagnostic(help("expected a file of UTF-8 text"))]
+    #[diagnostic(help("expected a text file in UTF-8"))]
     Unreadable {
         /// The file.
         path: PathBuf,
@@ -55,10 +55,10 @@ pub enum InputError {
         #[help]
         help: Option<String>,
     },
-    /// Something in a file that is no text is wrong, or in more than one line of one.
+    /// An error in a file that is not text, or in several lines of one.
     #[error("{place}: {message}")]
     Place {
-        /// The file, and where in it: a cell, a message, lines.
+        /// The file, and the place in it: a cell, a message, lines.
         place: String,
         /// What is wrong.
         message: String,
@@ -104,8 +104,8 @@ impl Source {
         Ok(Self::new(path.display().to_string(), text))
     }
 
-    /// Reads a file whose text other programs wrote: UTF-8, UTF-16 with its mark, else Latin-1 (Windows-1252). What is not UTF-8 is told by the
-    /// second.
+    /// Reads a text file of another program: UTF-8, UTF-16 with its mark, else Latin-1 (Windows-1252). The second value says if it is not
+    /// UTF-8.
     pub fn read_foreign(path: &Path) -> Result<(Self, Option<String>), InputError> {
         let bytes = bytes_of(path)?;
         let name = path.display().to_string();
@@ -136,13 +136,13 @@ impl Source {
         InputError::in_excerpt(&self.name, Excerpt::whole(self.text.clone()), span, message, help)
     }
 
-    /// Bytes of the value of a TOML key, such as `poses.identification`; the start of the text where the key is not there.
+    /// Bytes of the value of a TOML key, such as `poses.identification`; the start of the text if the key is missing.
     pub fn place_of(&self, key: &str) -> Range<usize> {
         toml_text::place_of(&self.text, key)
     }
 
     /// Bytes of every value of a TOML key in which a table of an array may be chosen by its number from 1, or by its `joint`, `name` or `mode`:
-    /// `as_built.joint[rail].delta_d_mm`. Without a choice all tables of the array are looked through.
+    /// `as_built.joint[rail].delta_d_mm`. Without a choice, all tables of the array are searched.
     pub fn places_of(&self, key: &str) -> Vec<Range<usize>> {
         toml_text::places_of(&self.text, key)
     }
@@ -160,7 +160,7 @@ fn unreadable(path: &Path, reason: String) -> InputError {
 /// All of a file.
 fn bytes_of(path: &Path) -> Result<Vec<u8>, InputError> {
     if path.is_dir() {
-        return Err(unreadable(path, "it is a folder, a file was expected".to_owned()));
+        return Err(unreadable(path, "it is a folder; expected a file".to_owned()));
     }
     std::fs::read(path).map_err(|error| unreadable(path, error.to_string()))
 }
@@ -182,14 +182,14 @@ fn not_utf8(error: &std::string::FromUtf8Error) -> String {
     let at = error.utf8_error().valid_up_to();
     let bytes = error.as_bytes();
     let line = bytes[..at].iter().filter(|byte| **byte == b'\n').count() + 1;
-    format!("not UTF-8 text (byte {at}), by 0x{:02X} in line {line}; save it as UTF-8", bytes[at])
+    format!("not UTF-8 text (byte {at}), because of 0x{:02X} in line {line}; save it as UTF-8", bytes[at])
 }
 
 /// A value from a TOML text with its place.
 pub type Spanned<T> = toml::Spanned<T>;
 
-/// Sizes of the numbers that are taken: no quantity of a robot is larger or, above zero, smaller, in any unit, and the squares of these
-/// stay finite and above zero.
+/// Sizes of accepted numbers: no quantity of a robot is larger or, above zero, smaller, in any unit, and the squares of these stay
+/// finite and above zero.
 const SIZES: [f64; 2] = [1e-15, 1e15];
 
 impl Source {

@@ -1,12 +1,12 @@
-//! Files of text: [robots](load_robot) (TOML and URDF), [measurements](read_measurements) (delimited text and its [column maps](ColumnMap)),
+//! Text files: [robots](load_robot) (TOML and URDF), [measurements](read_measurements) (delimited text and its [column maps](ColumnMap)),
 //! [sessions](load_session).
 //!
-//! What is read becomes a type of `calibrig-model`, in SI and radians; the unit of every number is part of its key and is converted here, once.
-//! What is written reads back to the same bits. Every refusal names file, line and key and says what was expected; no file can cause a panic.
-//! Keys and columns are described in `docs/formats.md`.
+//! Contents become types of `calibrig-model`, in SI and radians; the unit of every number is part of its key and is converted here, once.
+//! Written files read back to the same bits. Every error names file, line and key and says what was expected; no file can cause a panic. Keys
+//! and columns are described in `docs/formats.md`.
 //!
-//! Not in here: what is made of a robot and its measurements, which this crate does not see; scenarios, which describe the truth as well
-//! and are in the root package; and recordings, which are in `calibrig-recording`.
+//! This crate does not contain the evaluation of a robot and its measurements; scenarios, which also describe the truth and are in the
+//! root package; or recordings, which are in `calibrig-recording`.
 //!
 //! ```
 //! use calibrig_files::{Source, parse_robot};

@@ -1,4 +1,4 @@
-//! Chunks of messages of an MCAP file: taken out of their compression within a limit, and under their checksum where they have one.
+//! Chunks of messages of an MCAP file: decompressed within a limit, and checked against their checksum if they have one.
 
 use std::borrow::Cow;
 use std::io::Read;
@@ -14,14 +14,14 @@ pub const HEAD: usize = 9;
 #[derive(Debug)]
 pub struct Opened<'a> {
     data: Cow<'a, [u8]>,
-    /// Whether it has a checksum, which then fits.
+    /// Whether it has a checksum, which then matches.
     pub protected: bool,
 }
 
 /// Opens a chunk record with the given body, whichever program wrote it, if it holds at most `limit` bytes.
 ///
 /// # Errors
-/// Lengths, compression or checksum do not fit, or it is compressed by another method than those of MCAP's specification.
+/// Errors if lengths, compression or checksum do not match, or the compression is not one of MCAP's specification.
 pub fn open(body: &[u8], limit: usize) -> Result<Opened<'_>, McapError> {
     let (header, data) = parse(body)?;
     let size = usize::try_from(header.uncompressed_size).ok().filter(|size| *size <= limit);
@@ -42,7 +42,7 @@ pub fn open(body: &[u8], limit: usize) -> Result<Opened<'_>, McapError> {
     Ok(Opened { data, protected: saved != 0 })
 }
 
-/// Number of messages in a chunk record, if it has no checksum; 0 if it has one, which is not looked at.
+/// Number of messages in a chunk record, if it has no checksum; 0 if it has one, which is not checked.
 ///
 /// # Errors
 /// As [`open`].
@@ -62,7 +62,7 @@ fn parse(body: &[u8]) -> Result<(ChunkHeader, Cow<'_, [u8]>), McapError> {
     }
 }
 
-/// Up to one byte more than `size`, so that more than was announced shows.
+/// Up to one byte more than `size`, so that a surplus is noticed.
 fn unpacked(decoder: impl Read, size: usize) -> Result<Vec<u8>, McapError> {
     let mut data = Vec::new();
     let read = decoder.take(size as u64 + 1).read_to_end(&mut data);
@@ -70,7 +70,7 @@ fn unpacked(decoder: impl Read, size: usize) -> Result<Vec<u8>, McapError> {
     Ok(data)
 }
 
-/// LZ4 frames one behind the other, as several of Zstandard are read.
+/// LZ4 frames one after the other, as several of Zstandard are read.
 struct Frames<'a> {
     decoder: FrameDecoder<&'a [u8]>,
 }
@@ -86,7 +86,7 @@ impl Read for Frames<'_> {
         loop {
             let before = self.decoder.get_ref().len();
             let read = self.decoder.read(buffer)?;
-            // At the end of a frame the decoder says that all is read; where there is more, it goes on.
+            // At the end of a frame the decoder reports the end; if there is more, it continues.
             if read > 0 || self.decoder.get_ref().len() == before || before == 0 {
                 return Ok(read);
             }

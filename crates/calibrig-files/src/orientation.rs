@@ -1,4 +1,4 @@
-//! How a target with axes of its own is turned on the flange, as keys of TOML files: one of four forms, each with its convention in the key.
+//! The orientation of a target on the flange as keys of TOML files: one of four forms, each with its convention in the key.
 
 use std::ops::Range;
 
@@ -12,7 +12,7 @@ pub(crate) type Three = Spanned<[f64; 3]>;
 pub(crate) type Four = Spanned<[f64; 4]>;
 pub(crate) type Square = Spanned<[[f64; 3]; 3]>;
 
-/// The keys, as a table has them.
+/// The keys of a table.
 pub(crate) struct OrientationKeys<'t> {
     pub quaternion_wxyz: Option<&'t Four>,
     pub quaternion_xyzw: Option<&'t Four>,
@@ -28,7 +28,7 @@ const FORMS: &str = "one of rotation_quaternion_wxyz, rotation_quaternion_xyzw, 
                      rotation_matrix (three rows)";
 
 impl OrientationKeys<'_> {
-    /// `flange_from_target`, where one is stated.
+    /// `flange_from_target`, if stated.
     pub fn read(&self, source: &Source) -> Result<Option<TargetOrientation>, InputError> {
         let refused = |span: Range<usize>, message: &str, expected: &str| {
             Err(source.error(span, message, Some(format!("expected {expected}"))))
@@ -59,21 +59,21 @@ impl OrientationKeys<'_> {
         } else if let Some(sequence) = self.sequence {
             return refused(
                 sequence.span(),
-                "rotation_sequence is of angles, and there are none",
-                "rotation_euler_rad beside it",
+                "rotation_sequence applies to angles, but there are none",
+                "rotation_euler_rad with it",
             );
         }
         if let Some(rows) = self.matrix {
             add(rows.span(), RotationForm::Matrix(MatrixOrder::ByRows), rows.get_ref().as_flattened());
         }
         if let Some((span, ..)) = stated.get(1) {
-            return refused(span.clone(), "the rotation is stated twice", FORMS);
+            return refused(span.clone(), "the rotation is given twice", FORMS);
         }
         let Some((span, form, numbers)) = stated.pop() else {
             let uncertainty = self.sigma_rad.map(Spanned::span).or(self.covariance_rad2.map(Spanned::span));
             return match uncertainty {
                 Some(span) => {
-                    refused(span, "the uncertainty of a rotation is stated, and no rotation", FORMS)
+                    refused(span, "the uncertainty of a rotation is stated, but no rotation", FORMS)
                 }
                 None => Ok(None),
             };
@@ -100,8 +100,8 @@ impl OrientationKeys<'_> {
                 covariance_of(source, "rotation_covariance_rad2", covariance).map(Some)
             }
             (Some(sigma), Some(_)) => {
-                let message = "both rotation_sigma_rad and rotation_covariance_rad2";
-                Err(source.error(sigma.span(), message, Some("expected one of them".to_owned())))
+                let message = "both rotation_sigma_rad and rotation_covariance_rad2 are given";
+                Err(source.error(sigma.span(), message, Some("expected only one of them".to_owned())))
             }
         }
     }
@@ -110,7 +110,7 @@ impl OrientationKeys<'_> {
 /// Largest number of a session file, as of any number in an input file.
 const LARGEST: f64 = 1e15;
 
-/// Refuses numbers that no file holds.
+/// Refuses numbers outside the range of input files.
 pub(crate) fn check_numbers<'n>(
     source: &Source,
     key: &str,

@@ -8,7 +8,7 @@ use serde::Deserialize;
 use crate::input::{InputError, Source, Spanned};
 use calibrig_model::Payload;
 
-/// What stands for no payload where one is named.
+/// The name that stands for no payload.
 pub const NO_PAYLOAD: &str = "none";
 
 /// A load at the flange, as column maps, session files and scenarios give it.
@@ -40,10 +40,11 @@ pub enum PayloadFile {
     Scenario,
 }
 
-/// The payloads of `tables`, which stand in a `file` of that kind, each with a name of its own.
+/// The payloads of `tables` in a `file` of that kind, each with a different name.
 ///
 /// # Errors
-/// A payload without name, mass or centre, with a number that cannot be, or with a key of another kind of file; two of one name.
+/// Errors for a payload without name, mass or centre, with an invalid number, or with a key of another kind of file; for two of
+/// one name.
 pub fn read_payloads(
     source: &Source,
     tables: &[Spanned<PayloadTable>],
@@ -55,7 +56,7 @@ pub fn read_payloads(
         let payload = table.get_ref().read(source, table.span())?;
         if payloads.iter().any(|other| other.name == payload.name) {
             let message = format!("a second payload {:?}", payload.name);
-            let help = Some("expected a name of its own".to_owned());
+            let help = Some("expected a different name for each payload".to_owned());
             return Err(source.error(table.get_ref().name.span(), message, help));
         }
         payloads.push(payload);
@@ -63,10 +64,10 @@ pub fn read_payloads(
     Ok(payloads)
 }
 
-/// Index of the payload of a name among those that are known; `None` where the name says that nothing is carried: a word for it, or a weight of 0.
+/// Index of the payload of a name among the known ones; `None` if the name means no payload: a word for it, or a weight of 0.
 ///
 /// # Errors
-/// What was expected in place of a name that nobody has.
+/// What was expected instead of an unknown name.
 pub fn payload_by_name<'a>(
     name: &str,
     known: impl Iterator<Item = &'a str> + Clone,
@@ -83,7 +84,7 @@ pub fn payload_by_name<'a>(
     let nearest = known.clone().min_by_key(|other| edits(name, other));
     let all: Vec<_> = known.map(|name| format!("{name:?}")).collect();
     Err(match (nearest, all.as_slice()) {
-        (None, _) => format!("a [[payload]] of that name, or {NO_PAYLOAD:?}; there is no [[payload]]"),
+        (None, _) => format!("the name of a [[payload]], or {NO_PAYLOAD:?}; this file has no [[payload]]"),
         (Some(nearest), [_]) => format!("the name of a [[payload]], {nearest:?}, or {NO_PAYLOAD:?}"),
         (Some(nearest), _) => format!(
             "the name of a [[payload]], most likely {nearest:?}, or {NO_PAYLOAD:?}; there are {}",
@@ -108,17 +109,17 @@ fn edits(a: &str, b: &str) -> usize {
 }
 
 impl PayloadTable {
-    /// Refuses keys that are of other files.
+    /// Refuses keys that belong to other files.
     fn check_keys(&self, source: &Source, file: PayloadFile) -> Result<(), InputError> {
         let (message, help, span) = match (&self.mass_factor, &self.set) {
             (Some(factor), _) if file != PayloadFile::Scenario => (
-                "mass_factor is of a simulated payload",
-                "expected it in the [[payload]] of a scenario, whose machine carries more or less than is stated",
+                "mass_factor applies to a simulated payload",
+                "expected it in a [[payload]] of a scenario, whose machine carries more or less than is stated",
                 factor.span(),
             ),
             (_, Some(set)) if file != PayloadFile::Session => (
-                "set is of a payload that a whole set carries",
-                "expected it in the [[payload]] of a session file; here poses name what they carry",
+                "set applies to a payload that a whole set carries",
+                "expected it in a [[payload]] of a session file; here poses name what they carry",
                 set.span(),
             ),
             _ => return Ok(()),
@@ -131,7 +132,7 @@ impl PayloadTable {
         if name.trim().is_empty() || name.trim() != name || name == NO_PAYLOAD {
             let message = format!("payload.name is {name:?}");
             let help =
-                format!("expected a name for people without blanks at its ends, other than {NO_PAYLOAD:?}");
+                format!("expected a name without blanks at its ends, other than {NO_PAYLOAD:?}");
             return Err(source.error(self.name.span(), message, Some(help)));
         }
         let forces = [&self.force_x_n, &self.force_y_n, &self.force_z_n];
@@ -156,13 +157,13 @@ impl PayloadTable {
         if mass == 0.0 && force == Vector3::zeros() {
             return refuse(
                 format!("payload {name:?} weighs nothing"),
-                "expected mass_kg above zero; poses without a payload name \"none\", or nothing",
+                "expected mass_kg above zero; poses without a payload name \"none\", or leave the name empty",
             );
         }
         let (Some(x), Some(y), Some(z)) = (&self.x_mm, &self.y_mm, &self.z_mm) else {
             return refuse(
                 format!("payload {name:?} has no centre"),
-                "expected x_mm, y_mm and z_mm: its centre of mass in the flange frame, where a force pulls as well",
+                "expected x_mm, y_mm and z_mm: its centre of mass in the flange frame, where a force acts as well",
             );
         };
         let centre = Vector3::new(
@@ -211,7 +212,7 @@ mod tests {
             ("mass_kg = 25\n".to_owned(), "payload \"a\" has no centre", "in the flange frame"),
             (
                 format!("mass_kg = 25\nset = \"verification\"\n{centre}"),
-                "set is of a payload",
+                "set applies to a payload",
                 "session file",
             ),
             (format!("mass = 25\n{centre}"), "unknown key `mass`", "mass_kg"),
@@ -245,7 +246,7 @@ mod tests {
         assert!(find("50kg").expect_err("unknown").contains("most likely \"50 kg\""));
         assert!(find("Griper").expect_err("unknown").contains("most likely \"gripper\""));
         let nothing = payload_by_name("x", std::iter::empty()).expect_err("unknown");
-        assert!(nothing.contains("there is no [[payload]]"), "{nothing}");
+        assert!(nothing.contains("this file has no [[payload]]"), "{nothing}");
         assert_eq!([edits("", "abc"), edits("kitten", "sitting"), edits("a", "A")], [3, 3, 0]);
     }
 }

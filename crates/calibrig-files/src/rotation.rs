@@ -1,22 +1,22 @@
 //! Rotations as files write them: quaternions, rotation vectors, angles about three axes, and matrices.
 //!
-//! Nothing of a convention can be seen in numbers: a quaternion with w last is another rotation with w first, and so is a transposed matrix.
-//! Whoever reads one therefore states which it is.
+//! Numbers do not show their convention: a quaternion with w last is a different rotation with w first, and so is a transposed matrix. The
+//! caller therefore states it.
 
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 use thiserror::Error;
 
-/// Farthest from a rotation that digits leave a quaternion or a matrix: three decimals.
+/// Largest deviation from a rotation that rounding explains: three decimals.
 const ROUNDED: f64 = 2e-3;
 
-/// Nearer to a rotation is one as it is, bit for bit.
+/// Up to this deviation numbers are used as they are, bit for bit.
 const EXACT: f64 = 1e-13;
 
-/// Numbers that are no rotation.
+/// Why numbers are not a rotation.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[non_exhaustive]
 pub enum RotationError {
-    /// A number that is not one.
+    /// A number that is not finite.
     #[error("the rotation holds {value}")]
     NotFinite {
         /// The number.
@@ -25,20 +25,20 @@ pub enum RotationError {
     /// A quaternion of zeros.
     #[error("the quaternion has length 0")]
     ZeroQuaternion,
-    /// A quaternion that rounding does not explain.
-    #[error("the quaternion has length {length:.6}, off 1 by {:.1e}", (length - 1.0).abs())]
+    /// A quaternion whose length rounding does not explain.
+    #[error("the quaternion has length {length:.6}, which differs from 1 by {:.1e}", (length - 1.0).abs())]
     QuaternionLength {
         /// Its length.
         length: f64,
     },
-    /// A matrix that turns and mirrors.
+    /// A matrix that mirrors.
     #[error("the matrix is left-handed: its determinant is {determinant:.4}")]
     LeftHanded {
         /// Its determinant.
         determinant: f64,
     },
     /// A matrix whose columns are not of length one, or not at right angles.
-    #[error("the matrix is no rotation: its columns are off unit vectors at right angles by {off:.1e}")]
+    #[error("the matrix is not a rotation: its columns differ from unit vectors at right angles by {off:.1e}")]
     NotOrthonormal {
         /// Largest element of its product with its transpose, less the identity.
         off: f64,
@@ -46,28 +46,31 @@ pub enum RotationError {
 }
 
 impl RotationError {
-    /// What was expected instead, and what to do.
+    /// What was expected, and what to do.
     pub fn expected(self) -> &'static str {
         match self {
-            Self::NotFinite { .. } => "finite numbers of a size that turns",
+            Self::NotFinite { .. } => "finite numbers of a size that a rotation can have",
             Self::ZeroQuaternion => {
-                "a quaternion of length 1; where zeros mark a pose that was not seen, a row without a position is a missed shot"
+                "a quaternion of length 1; if zeros mark a pose that was not seen, leave its position empty: it then counts \
+                 as a missed shot"
             }
             Self::QuaternionLength { .. } => {
-                "a quaternion of length 1 up to its digits: check that these are its four columns, w among them, and that none is scaled"
+                "a quaternion of length 1 within its rounding: check that these are its four columns, w among them, and that \
+                 none is scaled"
             }
             Self::LeftHanded { .. } => {
-                "a right-handed rotation, of determinant 1: set the program that wrote it to a right-handed frame, or turn the sign of one axis around, \
-                 of the positions as well"
+                "a right-handed rotation, of determinant 1: set the program that wrote it to a right-handed frame, or reverse \
+                 the sign of one axis, of the positions as well"
             }
             Self::NotOrthonormal { .. } => {
-                "columns of length 1 at right angles, up to their digits: check that these are the nine columns of one matrix, in the stated order, without a scale"
+                "columns of length 1 at right angles within their rounding: check that these are the nine columns of one \
+                 matrix, in the stated order and not scaled"
             }
         }
     }
 }
 
-/// Which of a quaternion's four numbers is the scalar.
+/// Position of the scalar among a quaternion's four numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum QuaternionOrder {
     ScalarFirst,
@@ -81,7 +84,7 @@ pub(crate) enum MatrixOrder {
     ByColumns,
 }
 
-/// Three turns, one behind the other.
+/// Three consecutive turns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct EulerSequence {
     /// Axes in the order of the angles: 0 is x.
@@ -90,7 +93,7 @@ pub(crate) struct EulerSequence {
     is_intrinsic: bool,
 }
 
-/// What numbers a rotation is written as.
+/// How a rotation is written in numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum RotationForm {
     Quaternion(QuaternionOrder),
@@ -100,7 +103,7 @@ pub(crate) enum RotationForm {
     Matrix(MatrixOrder),
 }
 
-/// A rotation, and how far its numbers were from one.
+/// A rotation, and how far its numbers deviated from one.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct ReadRotation {
     pub rotation: Rotation3<f64>,
@@ -124,7 +127,7 @@ impl EulerSequence {
             "fixed" => false,
             _ => return None,
         };
-        // Two turns about one axis are one.
+        // Two consecutive turns about one axis are one.
         (axes[0] != axes[1] && axes[1] != axes[2]).then_some(Self { axes, is_intrinsic })
     }
 
@@ -174,7 +177,7 @@ impl RotationForm {
     }
 }
 
-/// Angles beyond all turns leave nothing of a rotation.
+/// Angles of any number of turns are too large for a rotation.
 fn of_angles(rotation: Rotation3<f64>, numbers: &[f64]) -> Result<ReadRotation, RotationError> {
     if rotation.matrix().iter().all(|element| element.is_finite()) {
         return Ok(ReadRotation { rotation, off: 0.0 });
@@ -219,7 +222,8 @@ fn of_matrix(matrix: &Matrix3<f64>) -> Result<ReadRotation, RotationError> {
 /// The rotation of a matrix that may be rounded to a few digits: the nearest one; one that is exact to 1e-13 stays as it is, bit for bit.
 ///
 /// # Errors
-/// A matrix with a number that is not finite, a left-handed one, and one that differs from a rotation by more than 2e-3.
+/// Errors for a matrix with a number that is not finite, a left-handed one, and one that differs from a rotation by more
+/// than 2e-3.
 pub fn rotation_of_matrix(matrix: &Matrix3<f64>) -> Result<Rotation3<f64>, RotationError> {
     if let Some(value) = matrix.iter().copied().find(|number| !number.is_finite()) {
         return Err(RotationError::NotFinite { value });

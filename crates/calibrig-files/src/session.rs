@@ -1,5 +1,5 @@
-//! `session.toml`: what of a session its measurement files have no columns for. Stations with their base nests, targets with their
-//! uncertainty, what the flange carried throughout, poses that were not measured. Every number reads back to the same bits.
+//! `session.toml`: the parts of a session without columns in its measurement files. Stations with their base nests, targets with
+//! their uncertainty, constant payloads, poses that were not measured. Every number reads back to the same bits.
 
 mod instrument;
 #[cfg(test)]
@@ -27,7 +27,7 @@ use calibrig_model::measurement::{
 
 const SCHEMA: &str = "calibrig.session/1";
 
-/// What a `session.toml` says.
+/// Contents of a `session.toml`.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct SessionFile {
     stations: Vec<Described<Station>>,
@@ -54,7 +54,7 @@ impl<T> Described<T> {
     }
 }
 
-/// A set as a session file tells it: which, what was measured, and the poses that were not.
+/// A set as a session file describes it: which, what was measured, and the poses that were not.
 pub type SessionSet<'a> = (SetKind, &'a MeasurementSet, &'a [(u32, String)]);
 
 #[derive(Deserialize)]
@@ -203,7 +203,7 @@ impl Reader<'_> {
     ) -> Result<(), InputError> {
         let shared = |other: Option<SetKind>| set.is_none() || other.is_none() || set == other;
         if others.any(|(other, known)| known == name.get_ref() && shared(other)) {
-            let message = format!("{what} {:?} is there twice", name.get_ref());
+            let message = format!("{what} {:?} appears twice", name.get_ref());
             return Err(self.error(name.span(), message, "distinct names in a set"));
         }
         Ok(())
@@ -238,7 +238,7 @@ impl Reader<'_> {
         })
     }
 
-    /// Stations whose instruments have one name share its errors, which therefore are the same.
+    /// Stations whose instruments have one name share its errors, which must therefore be the same.
     fn instrument(
         &self,
         table: &InstrumentTable,
@@ -252,18 +252,18 @@ impl Reader<'_> {
             };
             if let Some(difference) = instrument::difference(&stated, known) {
                 let message = format!(
-                    "instrument {:?} is stated otherwise at station {:?}: {difference}",
+                    "instrument {:?} is stated differently at station {:?}: {difference}",
                     stated.name, station.item.name
                 );
                 let expected =
-                    "the same errors wherever one instrument is named, or another name of another instrument";
+                    "the same errors wherever an instrument is named; or a different name for a different instrument";
                 return Err(self.error(table.name.span(), message, expected));
             }
         }
         Ok(stated)
     }
 
-    /// A nest that is measured again has one certified place, and another time or face.
+    /// A nest that is measured again has the same certified place, and another time or face.
     fn distinct_nest(
         &self,
         name: &Spanned<String>,
@@ -274,19 +274,19 @@ impl Reader<'_> {
             let apart = (known.in_base - nest.in_base).norm();
             if apart > 0.0 {
                 let message = format!(
-                    "nest {:?} is there twice, and its certified places are {:.4} mm apart",
+                    "nest {:?} appears twice, with certified places {:.4} mm apart",
                     nest.name,
                     1e3 * apart
                 );
                 return Err(self.error(
                     name.span(),
                     message,
-                    "one certified place of a nest, or another name",
+                    "the same certified place for one nest, or another name",
                 ));
             }
             let differ = matches!((known.time, nest.time), (Some(a), Some(b)) if a != b);
             if !differ && known.reading.face() == nest.reading.face() {
-                let message = format!("nest {:?} is there twice, and not at two times", nest.name);
+                let message = format!("nest {:?} appears twice, but not at two different times", nest.name);
                 let expected = "time_s of each measurement of a nest that is measured again, or another name";
                 return Err(self.error(name.span(), message, expected));
             }
@@ -326,12 +326,13 @@ impl Reader<'_> {
                     continue;
                 };
                 let message = format!(
-                    "payloads {:?} and {:?} are both carried by all poses of the {} set",
+                    "payloads {:?} and {:?} are both said to be carried by all poses of the {} set",
                     other.item.name,
                     described.item.name,
                     kind.key()
                 );
-                let expected = "one of a set; where poses carry different ones, a column of the measurement file that names them";
+                let expected = "one per set; if poses carry different payloads, a column of the measurement file that names \
+                                them";
                 return Err(self.error(table.span(), message, expected));
             }
             payloads.push(described);
@@ -346,7 +347,7 @@ impl Reader<'_> {
                 self.error(
                     key.span(),
                     format!("face is {:?}", key.get_ref()),
-                    "\"front\", \"back\", or \"both\" of the mean of the two",
+                    "\"front\", \"back\", or \"both\" for the mean of the two",
                 )
             },
         )
@@ -361,7 +362,7 @@ impl Reader<'_> {
         covariance_of(self.source, key, value)
     }
 
-    /// A covariance that is stated whole, or as the standard deviation of each axis.
+    /// A covariance that is stated as a whole, or as the standard deviation of each axis.
     fn spread(
         &self,
         (sigma_key, sigma): (&str, Option<&Spanned<f64>>),
@@ -375,8 +376,8 @@ impl Reader<'_> {
                 Ok(Some(Matrix3::from_diagonal_element(sigma * sigma)))
             }
             (Some(sigma), Some(_)) => {
-                let message = format!("both {sigma_key} and {key}");
-                Err(self.error(sigma.span(), message, "one of them"))
+                let message = format!("both {sigma_key} and {key} are given");
+                Err(self.error(sigma.span(), message, "only one of them"))
             }
         }
     }
@@ -409,7 +410,7 @@ impl Reader<'_> {
         match (&nest.position_m, spherical) {
             (Some(position), [None, None, None]) => {
                 if let Some(face) = &nest.face {
-                    let message = "face is of range and angles, and this reading is a position";
+                    let message = "face applies to range and angles, but this reading is a position";
                     return Err(self.error(face.span(), message, "range_m, az_rad and el_rad, or no face"));
                 }
                 let covariance = self.spread(
@@ -428,7 +429,7 @@ impl Reader<'_> {
                 }))
             }
             (None, [None, None, None]) => refused("there is no reading"),
-            (None, _) => refused("the reading is not whole"),
+            (None, _) => refused("the reading is incomplete"),
             (Some(_), _) => refused("there are two readings"),
         }
     }
@@ -447,8 +448,8 @@ impl Reader<'_> {
             }
             _ => {
                 let message =
-                    format!("nest {:?}: the uncertainty of its reading is not clear", nest.name.get_ref());
-                let expected = "sigma_range_m, sigma_az_rad and sigma_el_rad, or covariance_m_rad";
+                    format!("nest {:?}: the uncertainty of its reading is missing or given twice", nest.name.get_ref());
+                let expected = "either sigma_range_m, sigma_az_rad and sigma_el_rad, or covariance_m_rad";
                 Err(self.error(span, message, expected))
             }
         }
@@ -456,13 +457,13 @@ impl Reader<'_> {
 }
 
 impl SessionFile {
-    /// Adds what this file, whose text is `source`, says of the set `kind` to what a measurement file says. Stations and targets then stand
-    /// in the order of this file. One that describes no station (no target) leaves those of the measurement file. Where that does not name
-    /// its one station (target), the one that is described is meant.
+    /// Adds what this file, whose text is `source`, states about the set `kind` to the contents of a measurement file. Stations and targets
+    /// are then in the order of this file. If it describes no station (no target), those of the measurement file stay. If the measurement
+    /// file does not name its only station (target), the described one is meant.
     ///
     /// # Errors
-    /// The measurement file names a station or a target that is not described, or does not name which of several it is; it says itself what
-    /// poses carry.
+    /// Errors if the measurement file names a station or a target that is not described, or does not name one of several; or if it states
+    /// itself what poses carry.
     pub fn complete(
         &self,
         source: &Source,
@@ -476,12 +477,12 @@ impl SessionFile {
             }
             if !is_named && described.len() > 1 {
                 let message = format!(
-                    "the {} set does not name its {what}, and {} are described: {}",
+                    "the {} set does not name its {what}, but {} are described: {}",
                     kind.key(),
                     described.len(),
                     described.join(", ")
                 );
-                let help = format!("expected a column {what} in the measurement file, or one [[{what}]]");
+                let help = format!("expected a column {what} in the measurement file, or only one [[{what}]]");
                 return Err(source.error(self.places(what, kind), message, Some(help)));
             }
             let message = format!("{what} {name:?} of the {} set is not described", kind.key());
@@ -517,14 +518,15 @@ impl SessionFile {
                 set.observations.iter().find_map(|o| Some((o, o.payload.as_ref()?)))
             {
                 let message = format!(
-                    "payload {:?} is carried by all poses of the {} set, and pose {} of its measurement file carries {:?}",
+                    "payload {:?} is said to be carried by all poses of the {} set, but pose {} of its measurement file \
+                     carries {:?}",
                     payload.item.name,
                     kind.key(),
                     observation.pose,
                     other.name
                 );
                 let help =
-                    "expected one of them: this table, or the payloads of the measurement file".to_owned();
+                    "expected only one of them: this table, or the payloads of the measurement file".to_owned();
                 return Err(source.error(payload.place.clone(), message, Some(help)));
             }
             for observation in &mut set.observations {
@@ -537,7 +539,7 @@ impl SessionFile {
         Ok(())
     }
 
-    /// Where the first station (target) of the set is described; the text's begin where none is.
+    /// Where the first station (target) of the set is described; the start of the text if none is.
     fn places(&self, what: &str, kind: SetKind) -> Range<usize> {
         let of_set = |(known, place): (bool, &Range<usize>)| known.then(|| place.clone());
         let first = match what {
@@ -547,26 +549,27 @@ impl SessionFile {
         first.unwrap_or(0..0)
     }
 
-    /// What it says that the flange carried, one a `[[payload]]`, of whichever set.
+    /// The payloads that it describes, one per `[[payload]]`, of whichever set.
     pub fn payloads(&self) -> impl Iterator<Item = &Payload> {
         self.payloads.iter().map(|described| &described.item)
     }
 
-    /// Whether it describes targets, which then are all.
+    /// Whether it describes targets; then it describes all.
     pub fn describes_targets(&self) -> bool {
         !self.targets.is_empty()
     }
 
-    /// Whether it describes stations, which then are all.
+    /// Whether it describes stations; then it describes all.
     pub fn describes_stations(&self) -> bool {
         !self.stations.is_empty()
     }
 
-    /// Refuses what an identification cannot use, whose text is `source`: nests that do not place their station, and an uncertainty of a target
+    /// Refuses what an identification cannot use, in the text `source`: nests that do not place their station, and an uncertainty of a target
     /// that is not positive definite.
     ///
     /// # Errors
-    /// The station has nests, but fewer than three, or all on one line, or one without an uncertainty; the covariance of the target is not positive definite.
+    /// Errors if the station has nests, but fewer than three, or all on one line, or one without an uncertainty; or if the covariance of the target
+    /// is not positive definite.
     pub fn check_usable(&self, source: &Source) -> Result<(), InputError> {
         for Described { item: station, place, nests, .. } in
             self.stations.iter().filter(|known| !known.item.nests.is_empty())
@@ -578,12 +581,12 @@ impl SessionFile {
                     let at = at.and_then(|at| nests.get(at)).unwrap_or(place);
                     (
                         at,
-                        "the uncertainty of the reading or of the certified place above zero in every direction",
+                        "an uncertainty of the reading and of the certified place above zero in every direction",
                     )
                 }
                 _ => (
                     place,
-                    "three nests or more that are not on one line, or none: then the station's place is identified",
+                    "three nests or more that are not on one line, or no nests: then the station's place is identified",
                 ),
             };
             let message = format!("station {:?}: {error}{}", station.name, on_one_line(station, &error));
@@ -610,7 +613,7 @@ impl SessionFile {
     }
 }
 
-/// Which nests lie on one line, and how near to it.
+/// Which nests lie on one line, and how close to it.
 fn on_one_line(station: &Station, error: &RegistrationError) -> String {
     let nests = &station.nests;
     let far = |from: &NestObservation| {
@@ -631,10 +634,10 @@ fn on_one_line(station: &Station, error: &RegistrationError) -> String {
         None => 0.0,
     };
     let off = nests.iter().map(off).fold(0.0, f64::max);
-    format!(": {} are on it to {:.3} mm", names.join(", "), 1e3 * off)
+    format!(": {} lie on it within {:.3} mm", names.join(", "), 1e3 * off)
 }
 
-/// Those of one set; `None` where the file describes none at all.
+/// Those of one set; `None` if the file describes none at all.
 fn of_set<T: Clone>(described: &[Described<T>], kind: SetKind) -> Option<Vec<T>> {
     let own = described.iter().filter(|known| known.is_of(kind));
     (!described.is_empty()).then(|| own.map(|known| known.item.clone()).collect())

@@ -1,6 +1,6 @@
 //! Springs in six directions, as tables of files have them.
 
-/// Declares a table of a file with the six stiffnesses of a spring, each optional, and the fields that stand beside them.
+/// Declares a table of a file with the six stiffnesses of a spring, each optional, and further fields.
 ///
 /// A macro, because a `serde(flatten)`ed struct knows neither the places of its keys nor which of them are unknown.
 #[macro_export]

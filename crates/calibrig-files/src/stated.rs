@@ -1,5 +1,4 @@
-//! What is stated beforehand of stations and targets: by a session file, else by the robot's file. Measurement files say nothing of either
-//! but their names.
+//! What is stated beforehand about stations and targets: by a session file, else by the robot's file. Measurement files only name them.
 
 #[cfg(test)]
 mod tests;
@@ -17,18 +16,18 @@ use calibrig_model::measurement::{MeasurementSet, Reading, SetKind, Station, Tar
 pub struct MeasuredFile {
     /// Which set it is.
     pub kind: SetKind,
-    /// Its name, for messages; of several the first.
+    /// Its name, for messages; the first one of several.
     pub name: String,
     /// What was read of it.
     pub loaded: LoadedMeasurements,
 }
 
-/// What was made of the statements, in words.
+/// Remarks on the statements, in words.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Statements {
-    /// What an identification takes as known of every station and target, those alike in one line.
+    /// What an identification takes as known about every station and target, with equal ones in one line.
     pub assumed: Vec<String>,
-    /// What was made of the robot's table, and what of the statements is not used.
+    /// Changes to the robot's table, and statements that are not used.
     pub remarks: Vec<String>,
 }
 
@@ -37,14 +36,14 @@ const ENOUGH_NESTS: usize = 3;
 /// Names in one line.
 const MOST_NAMES: usize = 6;
 
-/// Adds what is stated of stations and targets to the measured sets, the fitted one first. A session file describes all stations (targets) or
-/// none; only where it describes no targets, those of the robot's file hold. What is stated and was not measured is left out. The other sets
+/// Adds the statements about stations and targets to the measured sets, the fitted one first. A session file describes all stations (targets)
+/// or none; the targets of the robot's file are used only if it describes none. Statements without measurements are left out. The other sets
 /// then have stations and targets in the order of the first, so that an index means the same in all of them.
 ///
 /// # Errors
-/// A measured station or target that the session file does not describe; a target of which several are stated and that has no name, or whose
-/// statement has none; measured names of which none is stated; a held-out station or target of which neither the fitted set nor a statement
-/// tells; and a column of targets that names every reading.
+/// Errors for a measured station or target that the session file does not describe; a target without a name, or with an unnamed statement,
+/// if several are stated; measured names without any statement; a held-out station or target that is neither in the fitted set nor stated;
+/// and a column of targets that names every reading.
 pub fn state(
     robot: &Robot,
     session: Option<(&SessionFile, &Source)>,
@@ -64,7 +63,7 @@ pub fn state(
         (Some((_, source)), _) => {
             if let Some(robot_source) = robot_source.filter(|_| !robot.targets.is_empty()) {
                 remarks.push(format!(
-                    "targets are those of {}, not those of {}",
+                    "targets are taken from {}, not from {}",
                     source.name, robot_source.name
                 ));
             }
@@ -85,7 +84,7 @@ pub fn state(
     Ok(Statements { assumed, remarks })
 }
 
-/// Leaves out readings that repeat another to the last digit, command and all: they are copies, and no measurements of their own.
+/// Leaves out readings that repeat another one to the last digit, command included: they are copies, not measurements.
 fn count_identical_once(file: &mut MeasuredFile) -> Option<String> {
     let mut seen = BTreeSet::new();
     let mut copies = Vec::new();
@@ -97,7 +96,7 @@ fn count_identical_once(file: &mut MeasuredFile) -> Option<String> {
         .map(|observation| {
             let position = observation.reading.position();
             let covariance = observation.reading.position_covariance();
-            // A probe that turns about its centre is seen in another pose.
+            // A probe that turns about its centre is in another pose.
             let turn: &[f64] = match &observation.reading {
                 Reading::Pose(pose) => pose.rotation.matrix().as_slice(),
                 Reading::Spherical(_) | Reading::Cartesian { .. } => &[],
@@ -127,14 +126,14 @@ fn count_identical_once(file: &mut MeasuredFile) -> Option<String> {
     copies.dedup();
     let poses = if copies.len() == 1 { "pose" } else { "poses" };
     let words = format!(
-        "{}: {count} of the readings repeat{s} another to the last digit and count{s} once with it ({poses} {})",
+        "{}: {count} of the readings repeat{s} another to the last digit and count{s} only once with it ({poses} {})",
         file.name,
         listed(&copies)
     );
     (!copies.is_empty()).then_some(words)
 }
 
-/// That some readings of a file state their uncertainty, and others do not.
+/// Remark that some readings of a file state their uncertainty, but others do not.
 fn partly_stated(file: &MeasuredFile) -> Option<String> {
     let observations = &file.loaded.set.observations;
     let unstated: Vec<_> = observations
@@ -179,7 +178,7 @@ fn names<T: Named>(files: &[MeasuredFile], of: impl Fn(&MeasurementSet) -> &Vec<
     files.iter().flat_map(|file| of(&file.loaded.set)).map(|item| item.name().to_owned()).collect()
 }
 
-/// Gives the measured targets what the robot's file, whose text is `source`, states of them; the names of those.
+/// Gives the measured targets the statements of the robot's file, whose text is `source`; returns their names.
 fn state_targets(
     stated: &[StatedTarget],
     source: &Source,
@@ -201,11 +200,11 @@ fn state_targets(
     }
     if first.name.is_none() && measured.len() > 1 {
         let message =
-            format!("the target has no name, and {} are measured: {}", measured.len(), listed(&measured));
+            format!("the target has no name, but {} are measured: {}", measured.len(), listed(&measured));
         if first.sigma.is_some() {
-            return refused(first, message, "a name = \"...\" of these, and [[target]] for each of several");
+            return refused(first, message, "name = \"...\" with one of these, and [[target]] for each of several");
         }
-        remarks.push(format!("{}: {message}; nothing is taken from it", source.name));
+        remarks.push(format!("{}: {message}; nothing is used from it", source.name));
         return Ok(matched);
     }
     for file in &mut *files {
@@ -213,7 +212,7 @@ fn state_targets(
         if !named && stated.len() > 1 && !file.loaded.set.targets.is_empty() {
             let all: Vec<_> = stated.iter().filter_map(|target| target.name.clone()).collect();
             let message = format!(
-                "{} targets are stated ({}), and {} does not name which one was measured",
+                "{} targets are stated ({}), but {} does not name which one was measured",
                 stated.len(),
                 listed(&all),
                 file.name
@@ -242,7 +241,7 @@ fn state_targets(
         .collect();
     if matched.is_empty() && !measured.is_empty() {
         let message = format!(
-            "no reading names what is stated, {}; measured are {}",
+            "no reading names a stated target, {}; measured are {}",
             listed(&unmeasured),
             listed(&measured)
         );
@@ -268,7 +267,7 @@ fn not_measured(what: &str, names: &[String], source: &Source) -> String {
     )
 }
 
-/// Some names, with the number of all where there are many.
+/// Some names, with the total number if there are many.
 fn listed(names: &[String]) -> String {
     if names.len() <= MOST_NAMES {
         return names.join(", ");
@@ -319,7 +318,7 @@ fn keep<T: Named>(items: &mut Vec<T>, wanted: &BTreeSet<String>, left: &mut BTre
     places
 }
 
-/// Targets with one reading each tell nothing of the robot: three coordinates for three unknowns. Where they are most of all readings, their
+/// Targets with one reading each say nothing about the robot: three coordinates for three unknowns. If they are most of all readings, their
 /// names are those of shots.
 fn refuse_named_shots(
     files: &[MeasuredFile],
@@ -340,9 +339,11 @@ fn refuse_named_shots(
         columns.map(|columns| (columns, columns.place_of("columns.target"))).filter(|(_, at)| !at.is_empty());
     let column = key.as_ref().and_then(|(map, place)| map.text.get(place.clone())).unwrap_or("target");
     let message = format!(
-        "{count} targets with one reading each tell nothing of the robot: the column {column} names the shot, not the reflector"
+        "{count} targets with one reading each say nothing about the robot: the column {column} names the shot, not the \
+         reflector"
     );
-    let help = "expected the reflector's name, the same in all rows that it was measured in; or no target column (in a column map: leave `target` out)";
+    let help = "expected the reflector's name, the same in all rows where it was measured; or no target column (in a column \
+                map: leave `target` out)";
     Err(match key {
         Some((map, place)) => map.error(place, message, Some(help.to_owned())),
         None => InputError::Place {
@@ -395,7 +396,7 @@ fn align(
             }
             if fit.stations.get(place).is_some_and(|known| known.nests != station.nests) {
                 remarks.push(format!(
-                    "station {}: the nests of the {} set are others; its place is that of the identification set",
+                    "station {}: the nests of the {} set differ; its place is that of the identification set",
                     station.name,
                     other.kind.key()
                 ));
@@ -407,7 +408,7 @@ fn align(
                 let names =
                     measured_names(&fit.targets, |place| fit.observations.iter().any(|o| o.target == place));
                 let at = other.loaded.place_where(|o| o.target == place);
-                return unknown("target", &target.name, &names, "nothing is stated of it", at);
+                return unknown("target", &target.name, &names, "nothing is stated about it", at);
             }
         }
     }
@@ -451,22 +452,22 @@ fn in_words(set: &MeasurementSet, stated: &BTreeSet<String>, placed_by: &str, by
             format!("placed by {nests} nests of {placed_by}, {} readings", station.nests.len())
         }
         nests if nests >= ENOUGH_NESTS => format!("placed by {nests} nests of {placed_by}"),
-        _ => "identified, no nests are stated".to_owned(),
+        _ => "identified, because no nests are stated".to_owned(),
     });
     grouped(&set.targets, &mut lines, |target| match target.covariance {
         Some(covariance) => {
             let sigma = (covariance.trace() / 3.0).sqrt();
-            format!("stated by {by}, +- {} mm an axis", rounded(1e3 * sigma))
+            format!("stated by {by}, +- {} mm per axis", rounded(1e3 * sigma))
         }
         None if stated.contains(&target.name) => {
-            format!("identified, from the offset that {by} states without an uncertainty")
+            format!("identified, starting from the offset that {by} states without an uncertainty")
         }
-        None => "identified, nothing is stated of it".to_owned(),
+        None => "identified, because nothing is stated about it".to_owned(),
     });
     lines
 }
 
-/// A line for those that the same is said of.
+/// A line for all with the same statement.
 fn grouped<T: Named>(items: &[T], lines: &mut Vec<String>, words: impl Fn(&T) -> String) {
     let mut groups: Vec<(String, Vec<String>)> = Vec::new();
     for item in items {
@@ -477,7 +478,7 @@ fn grouped<T: Named>(items: &[T], lines: &mut Vec<String>, words: impl Fn(&T) ->
         }
     }
     for (words, names) in groups {
-        // The names that calibrig gives say what they are.
+        // calibrig's own names are self-explanatory.
         let what = match names.as_slice() {
             [one] if one.starts_with(T::WHAT) => one.clone(),
             [one] => format!("{} {one}", T::WHAT),

@@ -325,7 +325,7 @@ fn nothing_is_suggested_silently() {
     assert!(suggested.text.contains("missed = [\"n/a\", -9999]"), "{}", suggested.text);
     assert!(suggested.text.contains("target = \"SMR\""), "{}", suggested.text);
     let refused = parse_column_map(&Source::new("map.toml", suggested.text.clone())).expect_err("left open");
-    assert!(refused.to_string().contains("revolute_unit is left to decide"), "{refused}");
+    assert!(refused.to_string().contains("revolute_unit is still to be decided"), "{refused}");
     // And without these lines there is no unit.
     let without: String = suggested
         .text
@@ -400,7 +400,7 @@ fn joints_of_one_file_and_points_of_three_are_joined_by_row_by_name_and_by_time(
     let loaded = read_as(&by_name.files, &map(&format!("{THREE}{join}")), &RowOptions::default());
     assert_is_session_three_times(&loaded);
     assert!(
-        loaded.remarks.iter().any(|line| line.contains("1 of 13 rows have no point")),
+        loaded.remarks.iter().any(|line| line.contains("1 of 13 rows match no point")),
         "{:?}",
         loaded.remarks
     );
@@ -443,7 +443,7 @@ fn rows_that_do_not_belong_together_are_refused_where_they_are() {
     let twice = three(&(of_row(12) + "P3;1;2\n"), point("P".to_owned()));
     let join = "[join]\nby = \"name\"\njoints = 1\npoints = 1\n";
     let found = refused(&twice.files, &map(&format!("{THREE}{join}")));
-    assert!(found.contains("joints.csv:13: the name P3 is there twice, first in line 4"), "{found}");
+    assert!(found.contains("joints.csv:13: the name P3 appears twice, first in line 4"), "{found}");
     let found =
         refused(&twice.files, &map(&format!("{THREE}{}", join.replace("joints = 1", "joints = \"Name\""))));
     assert!(found.contains("joints.csv") && found.contains("Name"), "{found}");
@@ -633,7 +633,7 @@ fn units_of_header_and_map_do_not_contradict_each_other() {
     };
     let refused = parse("J1,J2,X [m],Y [mm],Z [mm]", BY_NAME).expect_err("m and mm").to_string();
     assert!(
-        refused.contains("m.csv:1: column X [m] is in m by the header, and in mm by the column map"),
+        refused.contains("m.csv:1: column X [m] is in m according to the header, but in mm according to the column map"),
         "{refused}"
     );
     let by_number = BY_NAME.replace("\"X\"", "3");
@@ -641,7 +641,7 @@ fn units_of_header_and_map_do_not_contradict_each_other() {
     assert_eq!(loaded.set.observations[0].reading.position().x, 3e-3);
     assert!(loaded.remarks.iter().any(|line| line.contains("the column map holds")), "{:?}", loaded.remarks);
     let refused = parse("J1,J2,X [deg],Y,Z", BY_NAME).expect_err("an angle").to_string();
-    assert!(refused.contains("is in deg, which is no unit of this quantity"), "{refused}");
+    assert!(refused.contains("is in deg, which is not a unit of this quantity"), "{refused}");
     let refused = parse("J1,J2,X,Y,Z", BY_HEADER).expect_err("no unit").to_string();
     assert!(
         refused.contains("map.toml:2: missing key `revolute_unit` in [joints]: column J1 has no unit"),

@@ -178,7 +178,7 @@ fn leica_faro_and_spatial_analyzer() {
         files: &[("sa.txt", sa)],
         kinds: &[],
         decisions: &[("columns", "")],
-        says: &["unit = \"mm\"", "Millimeters", "another one in every row, so it is no reflector's name"],
+        says: &["unit = \"mm\"", "Millimeters", "different in every row, so not a reflector's name"],
         ..PLAIN
     });
 }
@@ -200,7 +200,7 @@ fn controllers_and_their_external_axes() {
         ],
         says: &[
             "revolute_unit = \"deg\"",
-            "$AXIS_ACT.E1: beside the arm",
+            "$AXIS_ACT.E1: not part of the arm,",
             "$AXIS_ACT.E1 goes to 4250",
             "no measurement",
         ],
@@ -240,7 +240,7 @@ fn controllers_and_their_external_axes() {
             "the commanded one",
             "not used: J1_act, J2_act, J3_act",
             "rail_cmd slides, by its name, and goes to 2.4",
-            "# rail_cmd: beside the arm",
+            "# rail_cmd: not part of the arm,",
         ],
         stroke: |k| 100.0 * k as f64,
         ..PLAIN
@@ -473,7 +473,7 @@ fn the_controllers_own_place_is_not_taken_for_the_trackers() {
         for text in [behind, before] {
             check(&Case {
                 files: &[("krc.csv", text)],
-                says: &[&x, "as a tracker's", "as the controller's own do", "beside"],
+                says: &[&x, "as a tracker's", "as a controller's own columns do", "beside"],
                 ..PLAIN
             });
         }
@@ -496,7 +496,7 @@ fn the_controllers_own_place_is_not_taken_for_the_trackers() {
         check(&Case {
             files: &[("only.csv", only)],
             decisions: &[("x", "\"X\""), ("y", "\"Y\""), ("z", "\"Z\"")],
-            says: &["which is no measurement"],
+            says: &["which is not a measurement"],
             ..PLAIN
         });
     }
@@ -507,7 +507,7 @@ fn the_controllers_own_place_is_not_taken_for_the_trackers() {
     check(&Case {
         files: &[("dup.csv", twice)],
         decisions: &[("x", "10"), ("y", "11"), ("z", "12")],
-        says: &["columns 7, 8, 9 and 10, 11, 12 can each be the position", "# DECIDE: x = 7 "],
+        says: &["columns 7, 8, 9 and 10, 11, 12 could each be the position", "# DECIDE: x = 7 "],
         ..PLAIN
     });
     // So are names that a map would read as signs.
@@ -575,7 +575,7 @@ fn full_poses_of_probes_and_cameras_are_suggested_with_what_a_person_states() {
             "[rotation]",
             "form = \"quaternion\"",
             "columns = [\"Q0\", \"Q1\", \"Q2\", \"Q3\"]",
-            "leave out [rotation]",
+            "delete [rotation]",
         ],
         ..PLAIN
     });
@@ -615,7 +615,7 @@ fn full_poses_of_probes_and_cameras_are_suggested_with_what_a_person_states() {
         kinds: &[],
         decisions: &[("columns", ""), ("x", ""), ("y", ""), ("z", "")],
         says: &[
-            "which is no measurement",
+            "which is not a measurement",
             "# columns = [\"q0\", \"q1\", \"q2\", \"q3\"]",
             "# transform = \"target_in_tracker\"",
         ],
@@ -728,7 +728,7 @@ fn payloads_are_suggested_by_name_by_mass_and_with_their_centres() {
     let numbers = file(&head("Payload"), text(",", ["0", "1", "2"]));
     let decisions =
         [&[("mass_kg", "25.02")][..], &centre("118"), &[("mass_kg", "50")], &centre("140")].concat();
-    let says: &[&str] = &["# DECIDE: mass_kg = 2 ", "a number by which something is called"];
+    let says: &[&str] = &["# DECIDE: mass_kg = 2 ", "a number in the load's name:"];
     let found = check(&Case { files: &[("numbers.csv", numbers)], decisions: &decisions, says, ..PLAIN });
     assert_eq!(carried(&found)[2], Some((50.0, 0.14)));
     // With the centre in columns, which are no position of the target.
@@ -751,7 +751,7 @@ fn payloads_are_suggested_by_name_by_mass_and_with_their_centres() {
         text(",", ["0,0,0,0", "55,0,0,0.118", "110,0,0,0.14"]),
     );
     let open = ["payload_mass_kg", "payload_x_mm", "payload_y_mm", "payload_z_mm"].map(|key| (key, ""));
-    let says: &[&str] = &["in lb by its name, and the key reads kg", "in m, by its size"];
+    let says: &[&str] = &["in lb by its name, but the key reads kg", "in m, by its size"];
     check(&Case { files: &[("other.csv", other)], kinds: &[], decisions: &open, says, ..PLAIN });
     // What motors are loaded with, and weights of a fit, are no payloads.
     let motors = file(&head("Load,Weight"), text(",", ["10,1", "20,1", "70,0.5"]));
@@ -762,7 +762,7 @@ fn payloads_are_suggested_by_name_by_mass_and_with_their_centres() {
     });
     let points = file("X [mm],Y [mm],Z [mm]\n", |k| place(k, 1.0, ","));
     let decisions = [&[("mass_kg", "25")][..], &centre("118"), &[("mass_kg", "1e-9")], &centre("0")].concat();
-    let says: &[&str] = &["payload = \"Nutzlast\"", "where \"leer\" is nothing"];
+    let says: &[&str] = &["payload = \"Nutzlast\"", "where \"leer\" means no load, write"];
     let files = &[("commands.csv", commands), ("points.csv", points)];
     let found = check(&Case { files, decisions: &decisions, says, ..PLAIN });
     assert_eq!(carried(&found)[0], Some((25.0, 0.118)));
@@ -888,6 +888,6 @@ fn a_file_without_rows_of_numbers_is_refused() {
         let path = folder.path().join("m.csv");
         std::fs::write(&path, text).unwrap();
         let refused = suggest_columns(&[&path], &RowOptions::default()).expect_err("no numbers").to_string();
-        assert!(refused.contains("there is no row of numbers in it"), "{refused}");
+        assert!(refused.contains("it has no row of numbers"), "{refused}");
     }
 }

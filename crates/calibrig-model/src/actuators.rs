@@ -1,4 +1,4 @@
-//! From what the controller commands to the joint variables of the link chain.
+//! From the controller's commands to the joint variables of the link chain.
 
 use nalgebra::{DMatrix, DVector, Vector3};
 use serde::{Deserialize, Serialize};
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::{LinkageTerm, ModelError};
 use crate::geometry::{Transform, rotation_x, rotation_y, translation};
 
-/// The map from actuator commands to joint variables (SI, one actuator a joint).
+/// The map from actuator commands to joint variables (SI, one actuator per joint).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum ActuatorMap {
     /// Every actuator moves its own joint.
@@ -20,20 +20,20 @@ pub enum ActuatorMap {
         elbow: usize,
         /// rad
         offset: f64,
-        /// Lengths of the real mechanism, where known. The map of this type is that of the exact parallelogram all the same; a four-bar is
-        /// closed by the kinematics.
+        /// Lengths of the real mechanism, if known. This map is nevertheless that of the exact parallelogram; a four-bar is closed by the
+        /// kinematics.
         linkage: Option<FourBar>,
     },
-    /// The controller counts its axes otherwise than the table: with another sign, from another zero, in other units, or coupled.
+    /// The controller counts its axes differently from the table: with another sign, zero or unit, or coupled.
     Axes {
-        /// From commands to what the actuators do.
+        /// From commands to the positions of the actuators.
         axes: AxisMap,
-        /// The parallelogram that the elbow's actuator drives, where there is one.
+        /// The parallelogram that the elbow's actuator drives, if there is one.
         elbow: Option<ElbowDrive>,
     },
 }
 
-/// What is known of a parallelogram; as [`ActuatorMap::Parallelogram`].
+/// The lengths of a parallelogram; as [`ActuatorMap::Parallelogram`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ElbowDrive {
     /// Index of the shoulder joint.
@@ -42,13 +42,13 @@ pub struct ElbowDrive {
     pub elbow: usize,
     /// rad
     pub offset: f64,
-    /// Lengths of the real mechanism, where known.
+    /// Lengths of the real mechanism, if known.
     pub linkage: Option<FourBar>,
 }
 
 /// A linear map between what a controller shows of its axes and the positions of the actuators, `shown = S · actuators + zero`.
 ///
-/// Actuators are counted as their joints are: of an axis without a parallelogram its position *is* the joint variable.
+/// Actuators are counted as their joints are: without a parallelogram, an actuator's position *is* the joint variable.
 ///
 /// ```
 /// use calibrig_model::AxisMap;
@@ -63,22 +63,22 @@ pub struct ElbowDrive {
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct AxisMap {
-    /// A row an axis, a column an actuator.
+    /// One row per axis, one column per actuator.
     shown_by_actuators: DMatrix<f64>,
     actuators_by_shown: DMatrix<f64>,
-    /// What is shown where all actuators are at zero.
+    /// The shown values when all actuators are at zero.
     zero: DVector<f64>,
-    /// Axes that the controller does not command, because their joint follows others: what is shown of them is always zero.
+    /// Axes that the controller does not command, because their joint follows others: their shown value is always zero.
     followers: Vec<bool>,
 }
 
 impl AxisMap {
-    /// What is shown of the axes: `shown_by_actuators` (a row an axis, a column an actuator) times the actuators, and `zero`.
+    /// Shown values are `shown_by_actuators` (one row per axis, one column per actuator) times the actuators, plus `zero`.
     ///
     /// # Errors
     ///
-    /// [`ModelError::Number`] for an entry that is not finite, [`ModelError::Length`] where the sizes do not fit, and
-    /// [`ModelError::Coupling`] where what is shown does not tell where the actuators are.
+    /// [`ModelError::Number`] for an entry that is not finite, [`ModelError::Length`] if the sizes do not fit, and
+    /// [`ModelError::Coupling`] if the shown values do not determine the actuators.
     pub fn new(shown_by_actuators: DMatrix<f64>, zero: DVector<f64>) -> Result<Self, ModelError> {
         let expected = shown_by_actuators.nrows();
         for found in [shown_by_actuators.ncols(), zero.len()] {
@@ -92,7 +92,7 @@ impl AxisMap {
             let (field, joint) = ("actuators.axes", Some(axis(index)));
             return Err(ModelError::Number { field, joint, value, expected: "a finite number" });
         }
-        // Rows and columns are of like size but for ratios; these say nothing of how far the map is from singular.
+        // Rows and columns are balanced first, so that ratios do not make a map look singular.
         let mut even = shown_by_actuators.clone();
         for mut row in even.row_iter_mut() {
             let size = row.amax();
@@ -109,8 +109,8 @@ impl AxisMap {
         Ok(Self { shown_by_actuators, actuators_by_shown, zero, followers })
     }
 
-    /// The same with these axes, by index, as followers: their rows say what is zero of them, as `q3 + q2` of a joint that turns back what the
-    /// second one turns. Indices of axes that there are not are left out.
+    /// The same with these axes, by index, as followers: their rows state a combination that is zero, such as `q3 + q2` for a joint that turns
+    /// back as much as the second one turns. Indices without an axis are ignored.
     #[must_use]
     pub fn with_followers(mut self, followers: &[usize]) -> Self {
         for follower in followers {
@@ -126,18 +126,19 @@ impl AxisMap {
         self.zero.len()
     }
 
-    /// What is shown of the axes per unit of the actuators: a row an axis, a column an actuator. Of a follower its row times the actuators, and
-    /// its [`zero`](Self::zero), are zero.
+    /// Shown values per unit of the actuators: one row per axis, one column per actuator. For a follower, its row times the actuators, plus its
+    /// [`zero`](Self::zero), is zero.
     pub fn shown_by_actuators(&self) -> &DMatrix<f64> {
         &self.shown_by_actuators
     }
 
-    /// What is shown where all actuators are at zero, one an axis.
+    /// The shown values when all actuators are at zero, one per axis.
     pub fn zero(&self) -> &DVector<f64> {
         &self.zero
     }
 
-    /// Writes where the actuators are at what is shown; both one an axis. Where one is shorter, the rest is left as it is.
+    /// Writes the actuators' positions for these shown values; both one per axis. If one is shorter, the rest is left as
+    /// it is.
     pub fn actuators(&self, shown: &[f64], actuators: &mut [f64]) {
         for (row, actuator) in self.actuators_by_shown.row_iter().zip(actuators) {
             let shares = row.iter().zip(&self.zero).zip(shown);
@@ -147,7 +148,7 @@ impl AxisMap {
         }
     }
 
-    /// What is shown of actuators at these positions; zero of a follower, wherever it is.
+    /// The shown values for actuators at these positions; always zero for a follower.
     pub fn shown(&self, actuators: &[f64]) -> Vec<f64> {
         let row = |(axis, zero): (usize, &f64)| {
             if self.followers[axis] {
@@ -159,7 +160,7 @@ impl AxisMap {
         self.zero.iter().enumerate().map(row).collect()
     }
 
-    /// How an actuator moves with what is shown of an axis, m or rad each; zero of axes that there are not.
+    /// Motion of an actuator per unit of an axis's shown value, m or rad each; zero for an axis that does not exist.
     pub fn rate(&self, actuator: usize, axis: usize) -> f64 {
         self.actuators_by_shown.get((actuator, axis)).copied().unwrap_or(0.0)
     }
@@ -171,10 +172,9 @@ const SINGULAR: f64 = 1e-9;
 /// The spatial four-bar that drives the elbow: the crank turns on the waist about an axis at or next to the shoulder's, the lever is part of
 /// the forearm, and the coupler rod, on spherical joints, keeps their ends at its length.
 ///
-/// The crank's frame is the shoulder's link frame as it would be with [the crank's axis](CrankAxis) in place of the shoulder's, at the joint
-/// variable `psi + offset + theta`, with theta that of the elbow's link, and without the shoulder's bearing; the lever's frame is the elbow's
-/// link frame. So crank and lever are parallel in an exact parallelogram, and an error of theta is one of the motor's zero, with a four-bar
-/// as without.
+/// The crank's frame is the shoulder's link frame with [the crank's axis](CrankAxis) in place of the shoulder's, at the joint variable `psi +
+/// offset + theta` with the theta of the elbow's link, and without the shoulder's bearing; the lever's frame is the elbow's link frame. So
+/// crank and lever are parallel in an exact parallelogram, and an error of theta is an error of the motor's zero, with or without a four-bar.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct FourBar {
     /// The end of the crank in its frame.
@@ -183,14 +183,14 @@ pub struct FourBar {
     pub lever: LinkageArm,
     /// Length of the coupler rod, m.
     pub rod: f64,
-    /// About what the crank turns; the shoulder's axis where it is not stated.
+    /// The axis about which the crank turns; the shoulder's if not stated.
     #[serde(default, skip_serializing_if = "CrankAxis::is_shoulders")]
     pub axis: CrankAxis,
 }
 
-/// Where the crank's axis is off the shoulder's: in the shoulder's frame at its joint variable zero (z along its axis), first the displacement along
-/// x and y, then the tilt about x and the tilt about y, `Tx(x) · Ty(y) · Rx(rx) · Ry(ry)`. What it is off along or about z is the arm's
-/// [`along`](LinkageArm::along) or the motor's zero.
+/// Displacement of the crank's axis from the shoulder's: in the shoulder's frame at its joint variable zero (z along its axis), first along x and y,
+/// then tilted about x and y, `Tx(x) · Ty(y) · Rx(rx) · Ry(ry)`. A displacement along or about z belongs to the arm's [`along`](LinkageArm::along)
+/// or to the motor's zero.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct CrankAxis {
     /// m
@@ -256,7 +256,7 @@ impl LinkageArm {
 }
 
 impl ActuatorMap {
-    /// The parallelogram between shoulder and elbow, where there is one.
+    /// The parallelogram between shoulder and elbow, if there is one.
     pub fn elbow(&self) -> Option<ElbowDrive> {
         match *self {
             Self::Direct => None,
@@ -267,7 +267,7 @@ impl ActuatorMap {
         }
     }
 
-    /// The lengths of the four-bar, to change them, where they are known.
+    /// The lengths of the four-bar, mutable, if known.
     pub fn linkage_mut(&mut self) -> Option<&mut FourBar> {
         match self {
             Self::Direct => None,
@@ -291,8 +291,8 @@ impl ActuatorMap {
         self
     }
 
-    /// Writes where the actuators are at `command`, in the sense and unit of their joints: `psi` of an elbow with a parallelogram, of all others
-    /// the joint variable. Both as long as the chain; where one is shorter, the rest is left as it is.
+    /// Writes the actuators' positions at `command`, in the sense and unit of their joints: `psi` for an elbow with a parallelogram, otherwise
+    /// the joint variable. Both as long as the chain; if one is shorter, the rest is left as it is.
     pub fn actuators_from_command(&self, command: &[f64], actuators: &mut [f64]) {
         match self {
             Self::Axes { axes, .. } => axes.actuators(command, actuators),
@@ -312,7 +312,7 @@ impl ActuatorMap {
         }
     }
 
-    /// Whether the controller commands an axis; not where its joint follows others.
+    /// Whether the controller commands an axis; it does not if its joint follows others.
     pub fn is_commanded(&self, axis: usize) -> bool {
         match self {
             Self::Axes { axes, .. } => !axes.followers.get(axis).copied().unwrap_or(false),
@@ -320,7 +320,7 @@ impl ActuatorMap {
         }
     }
 
-    /// Puts joints that follow others where these take them. Joint variables, as long as the chain.
+    /// Sets joints that follow others to where these take them. Joint variables, as long as the chain.
     pub fn follow(&self, joints: &mut [f64]) {
         let followers: Vec<usize> = (0..joints.len()).filter(|axis| !self.is_commanded(*axis)).collect();
         if followers.is_empty() {
@@ -341,7 +341,7 @@ impl ActuatorMap {
         }
     }
 
-    /// Writes the joint variables of `command` to `joints`; both as long as the chain. Where one is shorter, the rest is left as it is.
+    /// Writes the joint variables of `command` to `joints`; both as long as the chain. If one is shorter, the rest is left as it is.
     pub fn joints_from_command(&self, command: &[f64], joints: &mut [f64]) {
         self.actuators_from_command(command, joints);
         if let Some(ElbowDrive { shoulder, elbow, offset, .. }) = self.elbow()
@@ -354,7 +354,7 @@ impl ActuatorMap {
         }
     }
 
-    /// The four-bar between shoulder and elbow, where its lengths are known: (shoulder, elbow, offset, linkage).
+    /// The four-bar between shoulder and elbow, if its lengths are known: (shoulder, elbow, offset, linkage).
     pub fn four_bar(&self) -> Option<(usize, usize, f64, &FourBar)> {
         match self {
             Self::Parallelogram { shoulder, elbow, offset, linkage: Some(linkage) }
@@ -366,7 +366,7 @@ impl ActuatorMap {
         }
     }
 
-    /// A parameter of the four-bar, m or rad, where it is known.
+    /// A parameter of the four-bar, m or rad, if known.
     pub fn linkage_term(&self, which: LinkageTerm) -> Option<f64> {
         self.four_bar().map(|(_, _, _, linkage)| linkage.term(which))
     }

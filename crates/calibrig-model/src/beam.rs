@@ -1,18 +1,18 @@
-//! Where a flexible link lies, what it weighs, and whether it can be.
+//! Place, weight and validity of a flexible link.
 
 use nalgebra::Vector3;
 use thiserror::Error;
 
 use super::{Beam, BeamRun, BeamSegment, CraigLink, JointKind, Section, SegmentLength};
 
-/// What is wrong with a flexible link. Segments count from zero here and from one in print.
+/// What is wrong with a flexible link. Segments count from zero here and from one in messages.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[non_exhaustive]
 pub enum BeamError {
-    /// A beam of nothing.
+    /// A beam without segments.
     #[error("the beam has no segments")]
     Empty,
-    /// A segment without length, at some joint variable.
+    /// A segment without length at some joint variable.
     #[error("beam segment {} is {length} m long at the joint variable {q}; its length must be positive", segment.saturating_add(1))]
     Length {
         /// Index of the segment.
@@ -22,14 +22,14 @@ pub enum BeamError {
         /// The joint variable, rad or m.
         q: f64,
     },
-    /// A segment that grows with a joint that turns.
+    /// A segment that grows with a turning joint.
     #[error("beam segment {} follows the extension of a joint that is not prismatic", segment.saturating_add(1))]
     ExtensionOfRevolute {
         /// Index of the segment.
         segment: usize,
     },
     /// A stiffness that is not positive.
-    #[error("beam segment {} has the {property} {value}; it must be positive (infinite where rigid)", segment.saturating_add(1))]
+    #[error("beam segment {} has the {property} {value}; it must be positive (infinite if rigid)", segment.saturating_add(1))]
     Stiffness {
         /// Index of the segment.
         segment: usize,
@@ -49,7 +49,7 @@ pub enum BeamError {
 }
 
 impl BeamRun {
-    /// The link frame's axes in the order of the section's: along the beam, then its second and third.
+    /// The link frame's axes in the order of the section's: along the beam, then its second and third axis.
     pub fn axes(self) -> [usize; 3] {
         match self {
             Self::AlongX => [0, 1, 2],
@@ -108,7 +108,7 @@ impl Beam {
         self.segments.iter().enumerate().map(length).collect()
     }
 
-    /// Whether the beam can be part of `link` all over its joint's limits.
+    /// Whether the beam is valid for `link` between its joint's limits.
     ///
     /// # Errors
     ///
@@ -125,11 +125,11 @@ impl Beam {
         link.limits.iter().try_for_each(|q| self.lengths(*q).map(drop))
     }
 
-    /// Whether its sections can be, whatever link carries it.
+    /// Whether its sections are valid, whatever link carries it.
     ///
     /// # Errors
     ///
-    /// [`BeamError`] of a beam without segments, or of a stiffness or mass that cannot be.
+    /// [`BeamError`] for a beam without segments, or with an invalid stiffness or mass.
     pub fn check_sections(&self) -> Result<(), BeamError> {
         if self.segments.is_empty() {
             return Err(BeamError::Empty);

@@ -19,7 +19,7 @@ pub struct Body {
     pub inertia: Matrix3<f64>,
 }
 
-/// How well the mass and the centre of a body are known: standard deviations about what is stated, zero where that is exact.
+/// Uncertainty of a body's mass and centre: standard deviations about the stated values, zero if those are exact.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct BodyUncertainty {
     /// Of the mass, relative to it.
@@ -34,7 +34,7 @@ pub type SixStiffness = [f64; 6];
 /// A rigid connection.
 pub const RIGID: SixStiffness = [f64::INFINITY; 6];
 
-/// What elastostatics and plant need to know of a robot, one entry a joint.
+/// What elastostatics and plant need to know about a robot, one entry per joint.
 ///
 /// Where springs sit in the chain, joint after joint, is part of this definition (docs/notation.md, "Where the springs sit"):
 /// the joint's fixed part, the bearing if it is on the fixed side, the joint's motion with the drive's deflection, the bearing if it is
@@ -47,11 +47,11 @@ pub struct StaticProperties {
     /// the crank.
     #[serde(with = "crate::float::list")]
     pub drive_stiffness: Vec<f64>,
-    /// Compliance of the joints beside their drives.
+    /// Compliance of the joints besides their drives.
     pub bearings: Vec<Bearing>,
     /// The flexible links.
     pub beams: Vec<Option<Beam>>,
-    /// Masses and stiffness of the elbow's four-bar, where the elbow is driven by one.
+    /// Masses and stiffness of the elbow's four-bar, if there is one.
     pub linkage: Option<LinkageStatics>,
     /// Payload, hoses, tool forces.
     pub loads: Vec<PointLoad>,
@@ -60,7 +60,7 @@ pub struct StaticProperties {
 }
 
 impl StaticProperties {
-    /// A robot that is elastic in its drives alone.
+    /// A robot in which only the drives are elastic.
     pub fn of_drives(bodies: Vec<Body>, drive_stiffness: Vec<f64>, gravity: Vector3<f64>) -> Self {
         Self {
             bearings: vec![Bearing::default(); bodies.len()],
@@ -88,20 +88,20 @@ impl StaticProperties {
     }
 }
 
-/// On which side of a joint's motion its bearing yields.
+/// On which side of a joint's motion its bearing deflects.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub enum BearingSide {
-    /// It is carried along: the springs act in the link's own frame, behind the joint's motion.
+    /// It moves along: the springs act in the link's own frame, behind the joint's motion.
     #[default]
     Moving,
-    /// It stays behind: the springs act in the frame in front of the joint's motion, such as a telescope's housing.
+    /// It stays: the springs act in the frame in front of the joint's motion, such as a telescope's housing.
     Fixed,
 }
 
-/// The compliance of a joint beside its drive: bearing tilt, radial and axial play, a rail's roll, pitch and yaw.
+/// The compliance of a joint besides its drive: bearing tilt, radial and axial play, a rail's roll, pitch and yaw.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Bearing {
-    /// In the frame of its side. The entry of the joint's own axis is the drive's and counts for nothing here.
+    /// In the frame of its side. The entry of the joint's own axis is ignored: that spring is the drive's.
     #[serde(with = "crate::float::array")]
     pub stiffness: SixStiffness,
     /// On which side of the motion.
@@ -148,7 +148,7 @@ pub struct BeamSegment {
 pub enum SegmentLength {
     /// m
     Constant(f64),
-    /// The joint variable of the link (without deflection) minus this, m: what of a telescope is out of its housing.
+    /// The joint variable of the link (without deflection) minus this, m: the part of a telescope outside its housing.
     Extension(f64),
 }
 
@@ -183,7 +183,7 @@ pub struct Section {
 }
 
 impl Section {
-    /// The same section with all its stiffnesses changed alike.
+    /// The same section with all its stiffnesses scaled by one factor.
     #[must_use]
     pub fn map_stiffness(self, change: impl Fn(f64) -> f64) -> Self {
         Self {
@@ -195,7 +195,7 @@ impl Section {
         }
     }
 
-    /// A section that does not yield.
+    /// A rigid section.
     pub const RIGID: Self = Self {
         axial: f64::INFINITY,
         shear: [f64::INFINITY; 2],
@@ -204,7 +204,7 @@ impl Section {
         mass_per_length: 0.0,
     };
 
-    /// Whether it yields in no direction.
+    /// Whether it is rigid in every direction.
     pub fn is_rigid(&self) -> bool {
         let all = [self.axial, self.torsion].into_iter().chain(self.shear).chain(self.bending);
         all.into_iter().all(f64::is_infinite)
@@ -234,7 +234,7 @@ pub struct PointLoad {
     pub at: Vector3<f64>,
     /// kg
     pub mass: f64,
-    /// In the base frame whatever the pose, N.
+    /// In the base frame, independent of the pose, N.
     pub force: Vector3<f64>,
 }
 

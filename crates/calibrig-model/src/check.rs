@@ -1,4 +1,4 @@
-//! Whether a robot can be one: lengths that fit, finite numbers, limits that do not cross.
+//! Whether a robot's data are consistent: lengths that fit, finite numbers, limits in order.
 
 use thiserror::Error;
 
@@ -8,15 +8,15 @@ use super::{
 };
 use crate::geometry::Transform;
 
-/// What is wrong with a robot. Joints count from zero here and from one in print.
+/// What is wrong with a robot. Joints count from zero here and from one in messages.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[non_exhaustive]
 pub enum ModelError {
-    /// A chain of nothing.
+    /// A chain without joints.
     #[error("the robot has no joints")]
     NoJoints,
-    /// A list with an entry a joint that has more or fewer.
-    #[error("{field} has {found} entries: expected {expected}, one a joint")]
+    /// A list without exactly one entry per joint.
+    #[error("{field} has {found} entries: expected {expected}, one per joint")]
     Length {
         /// The list.
         field: &'static str,
@@ -25,20 +25,20 @@ pub enum ModelError {
         /// The number of joints.
         expected: usize,
     },
-    /// A number that cannot be.
+    /// A number outside its valid range.
     #[error("{field}{} is {value}: expected {expected}", of_joint(*joint))]
     Number {
         /// What it is.
         field: &'static str,
-        /// Of which joint, where it is of one.
+        /// Of which joint, if it belongs to one.
         joint: Option<usize>,
         /// The number.
         value: f64,
-        /// What it has to be.
+        /// What was expected.
         expected: &'static str,
     },
-    /// Limits that leave no joint variable.
-    #[error("the limits of joint {} cross: {low} to {high}", joint.saturating_add(1))]
+    /// Limits that leave no valid joint variable.
+    #[error("the limits of joint {} cross, {low} to {high}: expected the lower one first", joint.saturating_add(1))]
     Limits {
         /// Index of the joint.
         joint: usize,
@@ -47,8 +47,8 @@ pub enum ModelError {
         /// Highest.
         high: f64,
     },
-    /// Something that belongs to a joint which is not there.
-    #[error("{field} is of joint {}: the robot has {joints}", joint.saturating_add(1))]
+    /// Something that belongs to a joint that does not exist.
+    #[error("{field} refers to joint {}, but the robot has {joints} joints", joint.saturating_add(1))]
     Joint {
         /// What it is.
         field: &'static str,
@@ -57,9 +57,9 @@ pub enum ModelError {
         /// The number of joints.
         joints: usize,
     },
-    /// An elbow that does not follow its shoulder.
+    /// An elbow that is not right after its shoulder.
     #[error(
-        "the parallelogram joins joints {} and {}: expected an elbow that follows its shoulder",
+        "the parallelogram joins joints {} and {}: expected an elbow right after its shoulder",
         shoulder.saturating_add(1), elbow.saturating_add(1)
     )]
     Parallelogram {
@@ -68,12 +68,13 @@ pub enum ModelError {
         /// Index of the elbow.
         elbow: usize,
     },
-    /// Axes of which what is shown does not tell where the actuators are.
+    /// Axes whose shown values do not determine the positions of the actuators.
     #[error(
-        "the coupling of the axes cannot be turned round: what is shown does not tell where each actuator is"
+        "the coupling of the axes cannot be inverted: the shown values do not determine where each actuator is; check sign, \
+         ratio and coupling of [joint.shown]"
     )]
     Coupling,
-    /// A flexible link that cannot be.
+    /// An invalid flexible link.
     #[error("the beam of link {}: {source}", link.saturating_add(1))]
     Beam {
         /// Index of the link.
@@ -81,12 +82,13 @@ pub enum ModelError {
         /// Why.
         source: BeamError,
     },
-    /// Statics of a four-bar that the actuators do not have.
-    #[error("statics.linkage is stated: expected it only where actuators has the lengths of a four-bar")]
+    /// Statics of a four-bar, but the actuators have none.
+    #[error("statics.linkage is stated: expected it only if actuators has the lengths of a four-bar")]
     Linkage,
-    /// Masses and stiffnesses that nothing loads.
+    /// Masses and stiffnesses without any load.
     #[error(
-        "statics.gravity is zero and no load has a force: nothing deflects; state gravity (m/s², in the base frame), or leave statics out"
+        "statics.gravity is zero and no load has a force, so nothing deflects: state gravity (m/s², in the base frame), or \
+         leave statics out"
     )]
     NoGravity,
     /// A parameter that the robot does not have.
@@ -95,8 +97,8 @@ pub enum ModelError {
         /// Which.
         id: ParameterId,
     },
-    /// A model that is not built as the one it is to replace.
-    #[error("{field} is not that of the model that the chain was made of: only values may differ")]
+    /// A model that is built differently from the one it should replace.
+    #[error("{field} differs from the model that the chain was made from: only values may differ")]
     Structure {
         /// What differs.
         field: &'static str,
@@ -109,7 +111,7 @@ fn of_joint(joint: Option<usize>) -> String {
 
 const FINITE: &str = "a finite number";
 const POSITIVE: &str = "a finite number above zero";
-const STIFF: &str = "a number above zero, infinite where rigid";
+const STIFF: &str = "a number above zero, infinite if rigid";
 const MASS: &str = "a finite number of zero or more";
 
 fn number(
@@ -144,7 +146,7 @@ fn transform(field: &'static str, transform: &Transform) -> Result<(), ModelErro
 }
 
 impl KinematicModel {
-    /// Whether `values`, such as `joint variables`, are one finite number a joint.
+    /// Whether `values`, such as `joint variables`, are one finite number per joint.
     ///
     /// # Errors
     ///
@@ -154,7 +156,7 @@ impl KinematicModel {
         (0..).zip(values).try_for_each(|(joint, value)| finite(field, Some(joint), [*value]))
     }
 
-    /// Whether the chain can be one.
+    /// Whether the chain is valid.
     ///
     /// # Errors
     ///
@@ -177,12 +179,12 @@ fn check_link(joint: usize, link: &CraigLink) -> Result<(), ModelError> {
         finite(field, of, [value])?;
     }
     let [low, high] = link.limits;
-    // Asked this way round, NaN is refused, too; infinite limits are none.
+    // Written this way round, it also refuses NaN; infinite limits are no limits.
     if low <= high { Ok(()) } else { Err(ModelError::Limits { joint, low, high }) }
 }
 
 impl CalibrationModel {
-    /// Whether the robot can be one. Whatever takes a model asks this first.
+    /// Whether the robot is valid. Whatever takes a model checks this first.
     ///
     /// # Errors
     ///
@@ -213,11 +215,11 @@ impl CalibrationModel {
 }
 
 impl ActuatorMap {
-    /// Whether the map can be that of a robot with so many joints.
+    /// Whether the map is valid for a robot with this many joints.
     ///
     /// # Errors
     ///
-    /// [`ModelError`] with the field, for joints that are not there, an elbow in front of its shoulder, or a four-bar whose lengths cannot be.
+    /// [`ModelError`] with the field, for joints that do not exist, an elbow in front of its shoulder, or invalid lengths of a four-bar.
     pub fn check(&self, joints: usize) -> Result<(), ModelError> {
         if let Self::Axes { axes, .. } = self {
             length("actuators.axes", axes.axes(), joints)?;
@@ -257,7 +259,7 @@ impl StaticProperties {
             check_body("statics.bodies", of, &self.bodies[joint])?;
             stiff("statics.drive_stiffness", of, self.drive_stiffness[joint])?;
             let Bearing { stiffness, at, .. } = &self.bearings[joint];
-            // The joint's own axis is its drive's: what stands there counts for nothing.
+            // The stiffness about the joint's own axis is its drive's: the value here is ignored.
             let own = match link.kind {
                 JointKind::Prismatic => 2,
                 JointKind::Revolute => 5,
@@ -266,7 +268,7 @@ impl StaticProperties {
             others.try_for_each(|(_, k)| stiff("statics.bearings.stiffness", of, *k))?;
             finite("statics.bearings.at", of, [*at])?;
             if let Some(beam) = &self.beams[joint] {
-                // Whether it is long enough is a question of the pose: limits may be wider than what is ever commanded.
+                // Whether it is long enough depends on the pose: limits may be wider than any command.
                 beam.check_sections().map_err(|source| ModelError::Beam { link: joint, source })?;
             }
         }

@@ -7,21 +7,23 @@ use nalgebra::Point3;
 use super::{ActuatorMap, CraigLink, FourBar, KinematicModel};
 use crate::geometry::rotation_z;
 
-/// Least angle between the rod and the arm that it turns, rad. Below it the rod lies nearly in line with the lever: its force, and what an
-/// error of its length does to the elbow, grow without bound, and its pose is refused.
+/// Least angle between the rod and the arm that it turns, rad. Below it the rod is nearly in line with the lever: its force, and the
+/// effect of an error of its length on the elbow, grow without bound, and the pose is refused.
 pub const LEAST_TRANSMISSION_ANGLE: f64 = 10.0 * std::f64::consts::PI / 180.0;
 
-/// Angles of the elbow at which a four-bar is looked at: 0.1 to 0.2 deg apart on a usual elbow.
+/// Number of elbow angles at which a four-bar is checked: 0.1 to 0.2 deg apart on a usual elbow.
 const SAMPLES: u32 = 1000;
-/// Angles of shoulder and elbow, where the crank's axis is off the shoulder's and both change the four-bar's shape.
+/// Number of shoulder and elbow angles, if the crank's axis differs from the shoulder's, so that both change the
+/// four-bar's shape.
 const OFF_AXIS_SAMPLES: [u32; 2] = [36, 250];
 
-/// An angle of the elbow, within its limits, at which a four-bar does not do its work.
+/// An angle of the elbow, within its limits, at which a four-bar fails.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LinkageFault {
     /// Of the ideal parallelogram, rad.
     pub elbow: f64,
-    /// Of the shoulder, rad, where the crank's axis is off the shoulder's; else the four-bar's shape depends on the elbow alone.
+    /// Of the shoulder, rad, if the crank's axis differs from the shoulder's; otherwise the four-bar's shape depends only on the
+    /// elbow.
     pub shoulder: Option<f64>,
     /// Angle between rod and lever, rad; `None` where the bars do not reach each other.
     pub transmission: Option<f64>,
@@ -43,8 +45,8 @@ impl fmt::Display for LinkageFault {
     }
 }
 
-/// The worst fault of the four-bar between the limits of the elbow (and of the shoulder, where its crank's axis is off the shoulder's), if it
-/// has any there.
+/// The worst fault of the four-bar between the limits of the elbow (and of the shoulder, if its crank's axis differs from the shoulder's), if
+/// it has any.
 pub fn linkage_fault(kinematics: &KinematicModel, actuators: &ActuatorMap) -> Option<LinkageFault> {
     let (shoulder, elbow, _, linkage) = actuators.four_bar()?;
     let (upper, link) = (&kinematics.links[shoulder], &kinematics.links[elbow]);
@@ -69,7 +71,7 @@ impl FourBar {
     /// linkage does not close.
     ///
     /// `elbow` is the joint variable of the exact parallelogram, `psi + offset - shoulder`. It is the same for both ways to close. The shoulder's
-    /// joint variable has a say where the crank's axis is off the shoulder's.
+    /// joint variable matters only if the crank's axis differs from the shoulder's.
     fn transmission(&self, elbow_link: &CraigLink, shoulder: f64, elbow: f64) -> Option<f64> {
         // In front of the elbow's motion the lever's end runs on a circle about z, and the crank's end stands still.
         let in_shoulder = if self.axis.is_shoulders() {
@@ -84,7 +86,7 @@ impl FourBar {
         let apart = crank.z - self.lever.along;
         let cosine =
             (reach * reach + lever * lever + apart * apart - self.rod * self.rod) / (2.0 * reach * lever);
-        // Asked this way round, NaN does not close either.
+        // Written this way round, it treats NaN as not closing.
         (cosine.abs() <= 1.0).then(|| (reach * (1.0 - cosine * cosine).sqrt() / self.rod).min(1.0).asin())
     }
 }

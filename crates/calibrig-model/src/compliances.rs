@@ -1,14 +1,14 @@
-//! Which parts of a robot yield.
+//! Which parts of a robot are compliant.
 
 use super::{CalibrationModel, Compliance, JointKind, KinematicModel, LinkageTerm, StaticProperties};
 
 impl CalibrationModel {
-    /// Every compliance that yields: joint by joint the drive, the bearing, the beam; at last the rod.
+    /// Every compliance: joint by joint the drive, the bearing and the beam; then the rod.
     pub fn compliances(&self) -> Vec<Compliance> {
         self.statics.as_ref().map_or_else(Vec::new, |statics| statics.compliances(&self.kinematics))
     }
 
-    /// The parameters of the four-bar, where it is known.
+    /// The parameters of the four-bar, if known.
     pub fn linkage_terms(&self) -> Vec<LinkageTerm> {
         if self.actuators.four_bar().is_some() { LinkageTerm::ALL.to_vec() } else { Vec::new() }
     }
@@ -39,8 +39,8 @@ impl StaticProperties {
         all
     }
 
-    /// The stiffness behind a compliance: of the drive, the bearing's axis or the rod; of a beam, the bending stiffness EI of its first
-    /// segment that yields, N m². `None` where the robot has no such part.
+    /// The stiffness behind a compliance: of the drive, the bearing's axis or the rod; for a beam, the bending stiffness EI of its
+    /// first elastic segment, N m². `None` if the robot has no such part.
     pub fn stiffness(&self, compliance: Compliance) -> Option<f64> {
         match compliance {
             Compliance::Drive { joint } => self.drive_stiffness.get(joint).copied(),

@@ -1,10 +1,10 @@
-//! Numbers that may be infinite, such as the stiffness of what is rigid, in formats that have no word for it: JSON gets `"inf"`.
+//! Numbers that may be infinite, such as the stiffness of a rigid part, in formats without infinity: JSON gets `"inf"`.
 
 use serde::de::{Error, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 
-/// A number as it is written: itself, or where it is not finite and people may read the format, `"inf"`, `"-inf"` or `"nan"`.
+/// A number as it is written: itself or, if it is not finite and the format is for people, `"inf"`, `"-inf"` or `"nan"`.
 struct Float(f64);
 
 impl Serialize for Float {

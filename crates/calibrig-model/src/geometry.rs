@@ -69,7 +69,7 @@ pub fn best_fit_transform(points_a: &[Vector3<f64>], points_b: &[Vector3<f64>]) 
     Some(Transform::from_parts(Translation3::from(centre_a - rotation * centre_b), rotation))
 }
 
-/// The logarithm of a rotation of less than half a turn, rad. nalgebra's goes by the arc cosine, which keeps half the digits near zero.
+/// The logarithm of a rotation of less than half a turn, rad. nalgebra's uses the arc cosine, which loses half the digits near zero.
 pub fn rotation_vector(rotation: &Rotation3<f64>) -> Vector3<f64> {
     let r = rotation.matrix();
     let sine_axis = 0.5 * Vector3::new(r.m32 - r.m23, r.m13 - r.m31, r.m21 - r.m12);

@@ -1,13 +1,13 @@
 //! What both sides of a measurement may know: robots, measurements, and the mathematics that they share.
 //!
-//! The estimator (`calibrig-estimation`) and the simulated machine (`calibrig-plant`) depend on this crate and not on each other, so that
-//! the one cannot look at the truth and the other cannot be made with the model that is fitted to it.
+//! The estimator (`calibrig-estimation`) and the simulated machine (`calibrig-plant`) depend on this crate and not on each other: the
+//! estimator cannot see the truth, and the machine cannot be built from the model that is fitted to it.
 //!
-//! In here are definitions: the [chain of links](CraigLink) and its [transmission](ActuatorMap), [masses and stiffnesses](StaticProperties),
-//! the [names of parameters](ParameterId) and [families of terms](FAMILIES), what a tracker session leaves behind
-//! ([`measurement::MeasurementSet`]), [rigid transforms](geometry), [distributions](statistics) and [random streams](random).
-//! Not in here is what follows from them: where a robot comes to rest is computed by estimator and machine, each on its own, and compared in
-//! tests. Nothing reads or writes a file.
+//! This crate holds definitions: the [chain of links](CraigLink) and its [transmission](ActuatorMap), [masses and
+//! stiffnesses](StaticProperties), the [names of parameters](ParameterId) and [families of terms](FAMILIES), the results of a tracker
+//! session ([`measurement::MeasurementSet`]), [rigid transforms](geometry), [distributions](statistics) and [random streams](random). It
+//! does not compute where a robot comes to rest: estimator and machine each do that on their own, and tests compare them. Nothing here reads
+//! or writes a file.
 //!
 //! Units are SI and radians; a transform `a_from_b` takes coordinates in b to coordinates in a. Frames, signs and names are in
 //! `docs/notation.md`.

@@ -125,7 +125,7 @@ impl LinkageTerm {
     }
 }
 
-/// A scalar that identification may change. Links, stations and targets count from zero here and from one in print.
+/// A scalar that identification may change. Links, stations and targets count from zero here and from one in messages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum ParameterId {
     /// Deviation of a link parameter from its nominal value.
@@ -149,7 +149,7 @@ pub enum ParameterId {
         /// 0..3 for x, y, z
         axis: usize,
     },
-    /// Deviation of how the target is turned on the flange: a component of ξ in `flange_from_target · exp(ξ)`.
+    /// Deviation of the target's orientation on the flange: a component of ξ in `flange_from_target · exp(ξ)`.
     Orientation {
         /// Index of the target.
         target: usize,
@@ -176,12 +176,12 @@ pub enum ParameterId {
     Term(TermId),
     /// Error of the measuring instrument that all its readings share.
     Instrument {
-        /// Index of the instrument, in the order in which stations name theirs first.
+        /// Index of the instrument, in the order in which stations first name them.
         instrument: usize,
         /// Which error.
         term: InstrumentTerm,
     },
-    /// Steady motion of a station on its stand, as [`Frame`](Self::Frame) displaces it: what it amounts to in an hour.
+    /// Steady motion of a station on its stand, as [`Frame`](Self::Frame) displaces it: the amount per hour.
     Drift {
         /// Index of the tracker station.
         station: usize,
@@ -191,7 +191,7 @@ pub enum ParameterId {
 }
 
 impl ParameterId {
-    /// What names look like, for messages.
+    /// Examples of names, for messages.
     pub const EXAMPLES: &str = "a name such as delta_a2, delta_theta4, compliance_drive3, mass3, frame_x, target_z, linkage_rod, \
                                 ratio_d5 or tracker_range_offset (docs/notation.md)";
 
@@ -241,7 +241,7 @@ impl ParameterId {
         InstrumentTerm::ALL.map(|term| Self::Instrument { instrument, term }).to_vec()
     }
 
-    /// The three components of how a target is turned on the flange.
+    /// The three components of a target's orientation on the flange.
     pub fn all_of_orientation(target: usize) -> Vec<Self> {
         (0..3).map(|axis| Self::Orientation { target, axis }).collect()
     }

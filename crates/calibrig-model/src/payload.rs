@@ -4,7 +4,8 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// A load at the flange, as known at a pose: on top of what the robot's model says it always carries. It is taken as exact.
+/// A load at the flange, as known at a pose: in addition to the loads that the robot's model always carries. It is taken as
+/// exact.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Payload {
     /// Name for people; one name is one load.
@@ -13,11 +14,11 @@ pub struct Payload {
     pub mass: f64,
     /// Centre of the mass in the flange frame, where the force pulls as well, m.
     pub centre: Vector3<f64>,
-    /// In the base frame whatever the pose, N.
+    /// In the base frame, independent of the pose, N.
     pub force: Vector3<f64>,
 }
 
-/// A payload that cannot be.
+/// Why a payload is invalid.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum PayloadError {
@@ -43,7 +44,7 @@ impl Payload {
         Self { name: name.into(), mass, centre, force: Vector3::zeros() }
     }
 
-    /// Whether it can be one.
+    /// Whether it is valid.
     ///
     /// # Errors
     ///
@@ -63,7 +64,7 @@ impl Payload {
         self.mass == 0.0 && self.force == Vector3::zeros()
     }
 
-    /// What tells it from others, name aside: two that are equal load the flange alike.
+    /// What distinguishes it from others, apart from the name: two that are equal load the flange alike.
     pub fn bits(&self) -> [u64; 7] {
         let mut bits = [self.mass.to_bits(); 7];
         for (bits, value) in bits[1..].iter_mut().zip(self.centre.iter().chain(self.force.iter())) {

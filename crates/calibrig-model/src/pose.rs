@@ -3,7 +3,7 @@
 use super::Payload;
 use super::measurement::Observation;
 
-/// A pose that a robot is asked for: what it is told, and the circumstances that corrections may depend on. SI.
+/// A pose to predict: the command, and the circumstances that corrections may depend on. SI.
 ///
 /// ```
 /// use calibrig_model::PoseQuery;
@@ -15,17 +15,17 @@ use super::measurement::Observation;
 pub struct PoseQuery<'a> {
     /// Actuator commands, m or rad.
     pub command: &'a [f64],
-    /// Sign of each actuator's last motion, 0 where unknown; may be empty where all are.
+    /// Sign of each actuator's last motion, 0 if unknown; may be empty if all are unknown.
     pub approach: &'a [i8],
-    /// How far each actuator has moved since it last reversed, m or rad; empty where not known, which counts as far.
+    /// How far each actuator has moved since it last reversed, m or rad; empty if unknown, which is treated as far.
     pub since_reversal: &'a [f64],
-    /// Of the air at the robot, °C, where known.
+    /// Of the air at the robot, °C, if known.
     pub temperature: Option<f64>,
     /// Since the session began, s.
     pub time: f64,
     /// Index of the target on the flange.
     pub target: usize,
-    /// What the flange carries beside what it always does.
+    /// What the flange carries in addition to its permanent loads.
     pub payload: Option<&'a Payload>,
 }
 
@@ -49,7 +49,7 @@ impl<'a> PoseQuery<'a> {
         Self { approach, ..self }
     }
 
-    /// The same with the ways since the last reversals, m or rad.
+    /// The same with the distances since the last reversals, m or rad.
     #[must_use]
     pub fn moved(self, since_reversal: &'a [f64]) -> Self {
         Self { since_reversal, ..self }

@@ -1,4 +1,4 @@
-//! Counter-based random streams: a number depends on (seed, trial, source) and its place in that stream, on nothing else.
+//! Counter-based random streams: a number depends only on (seed, trial, source) and its place in that stream.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -19,9 +19,9 @@ pub enum Source {
     NestNoise = 5,
     /// The error of the measured target offset.
     TargetOffset = 6,
-    /// The as-built robot, where it is drawn.
+    /// The as-built robot, if it is drawn.
     AsBuilt = 7,
-    /// What differs when the machine approaches a pose again; its place in the stream is the pose's.
+    /// Differences between approaches of a pose; its place in the stream is the pose's.
     Repeatability = 8,
     /// Which readings are gross errors, and how far off they are; their place in the stream is the pose's.
     Outliers = 9,
@@ -31,7 +31,7 @@ pub enum Source {
     Folds = 11,
     /// Starting points of a solver; the start's number is in the place of the trial's.
     SolverStarts = 12,
-    /// Poses that are looked at to make a scenario of a robot.
+    /// Trial poses for making a robot's scenario.
     Twin = 14,
     /// The systematic errors of a tracker; its place in the stream counts instruments that failed their acceptance test.
     Instrument = 20,
@@ -43,7 +43,7 @@ pub enum Source {
     Drift = 23,
     /// The centring of reflectors; their place in the stream is the target's.
     Smr = 24,
-    /// Which readings do not come; their place in the stream is the pose's.
+    /// Which readings are missing; their place in the stream is the pose's.
     Misses = 25,
     /// Noise of the tracker on the sweeps of single joints.
     SweepNoise = 26,
@@ -57,17 +57,19 @@ pub enum Source {
     Iso9283Noise = 40,
     /// Draws behind the intervals of a repeatability.
     Iso9283Intervals = 41,
-    /// Random starts of a search for poses that tell most; the start's number is in the place of the trial's.
+    /// Random starts of a search for informative poses; the start's number is in the place of the trial's.
     PlannedStarts = 50,
-    /// Robots as they could have been made, which poses are planned for; the robot's number is in the place of the trial's.
+    /// Robots drawn within their tolerances, for which poses are planned; the robot's number is in the place of the
+    /// trial's.
     PlannedRobots = 51,
-    /// Orders of poses that a search for a better one begins with; the beginning's number is in the place of the trial's.
+    /// Orders of poses from which a search starts; the start's number is in the place of the trial's.
     PlannedOrder = 52,
     /// Poses at which reduced forms of an identified robot are fitted and compared; their place in the stream is the pose's.
     Handover = 60,
     /// Noise of the tracker along a path that is driven with corrected commands.
     PathNoise = 61,
-    /// The points of a study: what its factors are in a trial. The number of the point's draw is in the place of the trial's.
+    /// The points of a study: the values of its factors in a trial. The number of the point's draw is in the place of the
+    /// trial's.
     Factors = 70,
 }
 
@@ -78,8 +80,7 @@ pub fn stream(seed: u64, trial: u32, source: Source) -> ChaCha8Rng {
     rng
 }
 
-/// The stream at the place of entry `index`, such as a pose: what is drawn there does not depend on what was drawn before. An entry has 2^20
-/// words.
+/// The stream at the place of entry `index`, such as a pose: its draws do not depend on earlier ones. An entry has 2^20 words.
 pub fn stream_at(seed: u64, trial: u32, source: Source, index: u64) -> ChaCha8Rng {
     let mut rng = stream(seed, trial, source);
     rng.set_word_pos(u128::from(index) << 20);

@@ -1,4 +1,4 @@
-//! The chain of links, and all that identification is told of a robot beforehand.
+//! The chain of links, and all that identification knows about a robot beforehand.
 
 use super::{ActuatorMap, LinkTerm, ModelError, ParameterId, StaticProperties};
 use crate::geometry::{Transform, rotation_x, rotation_y, rotation_z, translation};
@@ -118,10 +118,11 @@ impl CraigLink {
 pub struct KinematicModel {
     /// The links in order from the base.
     pub links: Vec<CraigLink>,
-    /// From the base to the frame that the first row starts from; the identity for a table whose first row starts at the base. An axis
-    /// anywhere in the base needs it: a row of its own reaches those that meet the base's x axis.
+    /// From the base to the frame from which the first row starts; the identity for a table that starts at the base. It is needed for
+    /// an axis anywhere in the base: a row alone reaches only axes that meet the base's x axis.
     pub base_from_first: Transform,
-    /// From the last link's frame to the flange; the identity but for tables that end with a link of their own (standard D-H).
+    /// From the last link's frame to the flange; the identity except for tables that end with a transform of their own
+    /// (standard D-H).
     pub last_from_flange: Transform,
 }
 
@@ -143,7 +144,7 @@ impl KinematicModel {
         self.links.len()
     }
 
-    /// Adds `delta` (SI) to a link parameter. Parameters that are not of one of its links do not change the chain.
+    /// Adds `delta` (SI) to a link parameter. Other parameters do not change the chain.
     pub fn add(&mut self, id: ParameterId, delta: f64) {
         if let ParameterId::Link { link, term } = id
             && let Some(link) = self.links.get_mut(link)
@@ -152,7 +153,7 @@ impl KinematicModel {
         }
     }
 
-    /// A length that is typical of the robot, m: what scales angles to lengths in conditioning.
+    /// A typical length of the robot, m: it scales angles to lengths in conditioning.
     pub fn characteristic_length(&self) -> f64 {
         let reach: f64 = self
             .links
@@ -169,25 +170,25 @@ impl KinematicModel {
     }
 }
 
-/// All that identification is told about a robot beforehand. The truth of a simulated robot is not in here.
+/// All that identification knows about a robot beforehand. It does not include the truth of a simulated robot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CalibrationModel {
     /// Nominal kinematics.
     pub kinematics: KinematicModel,
     /// From commands to joint variables.
     pub actuators: ActuatorMap,
-    /// Masses, stiffnesses and gravity, where known; without them no deflection can be predicted.
+    /// Masses, stiffnesses and gravity, if known; without them no deflection can be predicted.
     pub statics: Option<StaticProperties>,
-    /// Motor turns per metre or per radian of every actuator, where known: the period of its transmission's errors.
+    /// Motor turns per metre or per radian of every actuator, if known: the period of its transmission's errors.
     pub motor_turns: Vec<Option<f64>>,
-    /// Lowest and highest command of every actuator that smooth terms are spread over, m or rad. Empty, as of a robot that nothing was measured
-    /// of: the identification takes those of the measurements, and a prediction without any those that the limits leave.
+    /// Lowest and highest command of every actuator, the range of smooth terms, m or rad. If empty, the identification takes the range of the
+    /// measurements, and a prediction that of the limits.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub spans: Vec<[f64; 2]>,
 }
 
 impl CalibrationModel {
-    /// A robot of which nothing but its links is known; every actuator moves its own joint.
+    /// A robot of which only the links are known; every actuator moves its own joint.
     ///
     /// # Errors
     ///
@@ -202,7 +203,7 @@ impl CalibrationModel {
     ///
     /// # Errors
     ///
-    /// [`ModelError`], where the map names joints that the robot does not have.
+    /// [`ModelError`], if the map names joints that the robot does not have.
     pub fn with_actuators(self, actuators: ActuatorMap) -> Result<Self, ModelError> {
         Self { actuators, ..self }.checked()
     }
@@ -211,25 +212,27 @@ impl CalibrationModel {
     ///
     /// # Errors
     ///
-    /// [`ModelError`] with the field, where a list has not one entry a joint, a number cannot be, or nothing loads the springs.
+    /// [`ModelError`] with the field, if a list does not have one entry per joint, a number is invalid, or nothing loads the
+    /// springs.
     pub fn with_statics(self, statics: StaticProperties) -> Result<Self, ModelError> {
         Self { statics: Some(statics), ..self }.checked()
     }
 
-    /// The same with motor turns per metre or radian of every actuator, where known.
+    /// The same with motor turns per metre or radian of every actuator, if known.
     ///
     /// # Errors
     ///
-    /// [`ModelError`], for another number of entries than joints, or one that is not above zero.
+    /// [`ModelError`], for a number of entries other than that of the joints, or an entry that is not above zero.
     pub fn with_motor_turns(self, motor_turns: Vec<Option<f64>>) -> Result<Self, ModelError> {
         Self { motor_turns, ..self }.checked()
     }
 
-    /// The same with the lowest and highest command of every actuator that smooth terms are spread over, m or rad.
+    /// The same with the lowest and highest command of every actuator, the range of smooth terms, m or rad.
     ///
     /// # Errors
     ///
-    /// [`ModelError`], for another number of entries than joints, or one that is not finite or ends before it begins.
+    /// [`ModelError`], for a number of entries other than that of the joints, or a range that is not finite or ends
+    /// before it begins.
     pub fn with_spans(self, spans: Vec<[f64; 2]>) -> Result<Self, ModelError> {
         Self { spans, ..self }.checked()
     }

@@ -5,11 +5,11 @@ use calibrig_model::{Payload, PointLoad};
 use nalgebra::Point3;
 
 impl Plant {
-    /// Hangs a load on the flange, or takes it off: all poses from now on are of the machine with it.
+    /// Hangs a load on the flange, or takes it off, for all later poses.
     ///
     /// # Errors
     ///
-    /// [`PlantError`], of a load that cannot be; what hung there is then still there.
+    /// [`PlantError`], for an invalid load; the previous load then stays.
     pub fn carry(&mut self, payload: Option<&Payload>) -> Result<(), PlantError> {
         if self.payload.as_ref() == payload {
             return Ok(());

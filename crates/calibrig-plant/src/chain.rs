@@ -1,4 +1,4 @@
-//! The rapier side of a plant: one multibody without colliders, closed by an impulse joint where the robot has a loop.
+//! The rapier side of a plant: one multibody without colliders, closed by an impulse joint if the robot has a loop.
 
 use nalgebra::{Quaternion, Translation3, UnitQuaternion, Vector3};
 use rapier3d::dynamics::{
@@ -12,10 +12,11 @@ use super::tree::{Loop, Node, Pull, Tree};
 use calibrig_model::Body;
 use calibrig_model::geometry::Transform;
 
-/// Gauss-Seidel iterations over the three rows of the loop, along and across the rod: each leaves at most 1e-2 of the error.
+/// Gauss-Seidel iterations over the three rows of the loop, along and across the rod: each reduces the error to at most 1e-2
+/// of it.
 const LOOP_ITERATIONS: usize = 30;
-/// What holds the elbow and the rod's two angles during a step, beside the loop: N m/rad about where they are. It has no say at rest. The
-/// rod must be much softer, which keeps the rows of the loop nearly independent.
+/// Stiffness that holds the elbow and the rod's two angles during a step, in addition to the loop: N m/rad about where they are. It has
+/// no effect at rest. The rod must be much softer, which keeps the rows of the loop nearly independent.
 const ELBOW_HOLD: f64 = 1e3;
 const ROD_HOLD: f64 = 1.0;
 
@@ -131,7 +132,7 @@ impl Chain {
 
     /// Puts the chain at the coordinates, to the bit, wherever it was.
     pub(super) fn place(&mut self, coordinates: &[f64]) {
-        // By way of zero: coordinates can only be displaced, and `c + (q - c)` need not be `q`.
+        // By way of zero: coordinates can only be displaced, and `c + (q - c)` need not be exactly `q`.
         for coordinate in 0..coordinates.len() {
             self.displacement[coordinate] = -self.coordinate(coordinate);
         }
@@ -147,7 +148,7 @@ impl Chain {
         multibody_of(multibody_joints, self.multibody).forward_kinematics(bodies, false);
     }
 
-    /// Sets the forces in the present pose beside the weights. They must be on the same nodes as before.
+    /// Sets the forces in the present pose in addition to the weights. They must be on the same nodes as before.
     pub(super) fn pull(&mut self, pulls: impl Iterator<Item = Pull> + Clone) {
         for Pull { node, .. } in pulls.clone() {
             let body = &mut self.world.bodies[self.bodies[node]];
@@ -162,13 +163,14 @@ impl Chain {
         }
     }
 
-    /// One step of rapier from rest. Without velocities there is no memory of the way here, and no Coriolis term.
+    /// One step of rapier from rest. Without velocities, the step does not depend on how it got here, and has no
+    /// Coriolis term.
     pub(super) fn step_from_rest(&mut self) {
         self.multibody_mut().generalized_velocity_mut().fill(0.0);
         self.world.step();
     }
 
-    /// How many coordinates there are.
+    /// Number of coordinates.
     pub(super) fn coordinate_count(&self) -> usize {
         self.coordinates.len()
     }
@@ -190,8 +192,8 @@ impl Chain {
         (*mass, point(&self.pose(node).transform_point(vector(centre))))
     }
 
-    /// How a coordinate moves what it carries, from rapier's body Jacobian of its own node: the velocity of the point of the body at the
-    /// base's origin, and the rotation.
+    /// How a coordinate moves the bodies that it carries, from rapier's body Jacobian of its own node: the velocity of the point of the
+    /// body at the base's origin, and the rotation.
     pub(super) fn twist(&self, coordinate: usize) -> (Vector3<f64>, Vector3<f64>) {
         let (node, _) = self.coordinates[coordinate];
         let column = self.multibody().body_jacobian(node + 1).column(coordinate);

@@ -1,8 +1,8 @@
-//! The step of rapier that confirms a pose at rest: of some coordinates at a time, while the others stand where the pose has them.
+//! The step of rapier that confirms a pose at rest: for some coordinates at a time, while the others stay where the pose has them.
 //!
-//! A long step moves every coordinate by what its own spring makes of the force left over, whichever others may move with it; the loop alone
-//! couples them. It assembles two dense mass matrices body by body, in a time that goes with the square of the coordinates: of the parts one after
-//! the other, a seventh of what it takes of the whole robot.
+//! A long step moves every coordinate by the force left over, divided by its own spring's stiffness, whichever others may move with it; only the
+//! loop couples them. It assembles two dense mass matrices body by body, in a time that grows with the square of the number of coordinates: the
+//! parts one after the other take a seventh of the time of the whole robot.
 
 use nalgebra::{Point3, Vector3};
 
@@ -11,12 +11,12 @@ use super::statics::Statics;
 use super::tree::{Loop, Node, Pull, Tree, point_mass};
 use calibrig_model::geometry::Transform;
 
-/// So many coordinates are a part: with fewer, what a step takes beside its matrices counts.
+/// Number of coordinates in a part: with fewer, the rest of a step costs more than its matrices.
 const PART: usize = 12;
 
 /// The robot in parts, each with the masses that it carries.
 pub(super) struct Confirmation {
-    parts: Vec<Part>,
+    parts: Vec<Substructure>,
 }
 
 /// The pose to confirm.
@@ -31,21 +31,21 @@ pub(super) struct AtRest<'a> {
     pub(super) springs: &'a [(f64, f64)],
 }
 
-struct Part {
+struct Substructure {
     tree: Tree,
     chain: Chain,
     /// Its nodes and coordinates as the whole robot counts them.
     nodes: Vec<usize>,
     coordinates: Vec<usize>,
-    /// Of every node of the whole robot, which of the part's carries it; none in front of the part.
+    /// For every node of the whole robot, the node of the part that carries it; none in front of the part.
     carriers: Vec<Option<usize>>,
 }
 
 impl Confirmation {
-    /// `None` of a robot that is no more than a part.
+    /// `None` for a robot with only one part.
     pub(super) fn new(tree: &Tree, gravity: &Vector3<f64>, dt: f64) -> Option<Self> {
         let parts = split(tree);
-        let part = |nodes| Part::new(tree, nodes, gravity, dt);
+        let part = |nodes| Substructure::new(tree, nodes, gravity, dt);
         (parts.len() > 1).then(|| Self { parts: parts.into_iter().map(part).collect() })
     }
 
@@ -57,7 +57,7 @@ impl Confirmation {
     }
 }
 
-impl Part {
+impl Substructure {
     fn new(whole: &Tree, nodes: Vec<usize>, gravity: &Vector3<f64>, dt: f64) -> Self {
         let own = |node: usize| nodes.iter().position(|own| *own == node);
         let mut carriers: Vec<Option<usize>> = Vec::with_capacity(whole.nodes.len());
@@ -148,7 +148,7 @@ fn split(tree: &Tree) -> Vec<Vec<usize>> {
     parts
 }
 
-/// What the loop closes, behind the body that carries crank and lever: only together can it move.
+/// The bodies of the loop, after the body that carries crank and lever: they can only move together.
 fn looped(tree: &Tree, closure: &Loop) -> Vec<usize> {
     let mount = tree.nodes[closure.crank].parent;
     let behind_mount = |node: &usize| tree.nodes[*node].parent.filter(|parent| Some(*parent) != mount);

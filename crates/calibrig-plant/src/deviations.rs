@@ -1,4 +1,4 @@
-//! How one machine differs from another of its kind. Of a link that is not there nothing changes.
+//! How one machine differs from another of its kind. Links that do not exist are ignored.
 
 use nalgebra::{Rotation3, Vector3};
 
@@ -40,7 +40,7 @@ impl AsBuilt {
         self.statics.gravity = Rotation3::new(-turn) * self.statics.gravity;
     }
 
-    /// The elbow's four-bar, where the machine has one.
+    /// The elbow's four-bar, if the machine has one.
     pub fn linkage_mut(&mut self) -> Option<&mut FourBar> {
         self.actuators.linkage_mut()
     }

@@ -1,4 +1,4 @@
-//! Machines of one kind, as they come from the workshop.
+//! Machines of one kind, as they leave the workshop.
 
 use nalgebra::Vector3;
 use rand::{Rng, RngExt};
@@ -39,7 +39,8 @@ pub struct AsBuiltDistribution {
     pub angle: f64,
     /// The compliances that deviate.
     pub compliances: Vec<Compliance>,
-    /// Of those, relative: a stiffness k becomes k / (1 + x), as the compliance parameters of identification have it.
+    /// Relative size of those: a stiffness k becomes k / (1 + x), as for the compliance parameters of the
+    /// identification.
     pub compliance: f64,
     /// Of every link's mass, relative.
     pub mass: f64,
@@ -57,11 +58,11 @@ pub struct AsBuiltDistribution {
     pub target: f64,
 }
 
-/// What is left of a compliance or a mass at least, so that it stays above zero however wide the distribution is.
+/// Least share of a compliance or a mass that is left, so that it stays above zero however wide the distribution is.
 const LEAST_FACTOR: f64 = 0.01;
 
 impl AsBuiltDistribution {
-    /// Whether machines differ in their four-bar's geometry, so that the loop of one can fail to close.
+    /// Whether machines differ in their four-bar's geometry, so that some loops may not close.
     pub fn varies_linkage(&self) -> bool {
         [self.linkage_length, self.linkage_angle, self.crank_axis, self.crank_tilt]
             .iter()
@@ -71,7 +72,7 @@ impl AsBuiltDistribution {
     /// A machine that deviates from `base`.
     ///
     /// Every machine takes the same numbers from `rng` in the same order, whatever the sizes and the listed parameters are: another size
-    /// of one kind changes no deviation of another. Of a machine that cannot be one, what is there deviates.
+    /// of one kind changes no deviation of another. In an incomplete machine only the existing parts deviate.
     pub fn draw(&self, base: &AsBuilt, rng: &mut impl Rng) -> AsBuilt {
         let mut machine = base.clone();
         for (index, link) in machine.kinematics.links.iter_mut().enumerate() {
@@ -108,7 +109,7 @@ impl AsBuiltDistribution {
         let turn = vector(self.tilt);
         machine.tilt(&turn);
         machine.target += vector(self.target);
-        // Drawn last: machines of older scenarios stay as they were.
+        // Drawn last, so that machines of older scenarios stay as they were.
         let axis: [f64; 4] = std::array::from_fn(|_| self.spread.draw(rng));
         if let Some(linkage) = machine.linkage_mut() {
             linkage.axis.x += self.crank_axis * axis[0];

@@ -1,13 +1,13 @@
 //! The machine as built, and the tracker that measures it: the truth behind simulated measurements.
 //!
 //! [`AsBuilt`] is the robot with all its errors, [`Plant`] its multibody in rapier, which [settles](Plant::settle) under gravity at a command.
-//! [`effects`] are what a machine does beside: backlash, friction, warmth. [`tracker`] reads where the target is; [`session`] goes
-//! through the poses that [`experiment`] drew, for any [`session::Machine`], and returns the measurements with the truth beside them.
+//! [`effects`] are errors besides geometry and elasticity: backlash, friction, heat. [`tracker`] measures the target; [`session`] goes through
+//! the poses that [`experiment`] drew, for any [`session::Machine`], and returns the measurements together with the truth.
 //!
-//! Not in here: what is known of the machine beforehand, and what is made of its measurements. The root package joins the two, and it alone
-//! compares an estimate with the truth.
+//! This crate contains neither what is known about the machine beforehand nor the evaluation of its measurements. The root package joins
+//! the two, and it alone compares an estimate with the truth.
 //!
-//! Units are SI and radians. The base frame is rapier's world frame. What yields, in which order and about which point, is defined in
+//! Units are SI and radians. The base frame is rapier's world frame. The order and the places of the springs are defined in
 //! `docs/notation.md`.
 //!
 //! ```
@@ -53,7 +53,8 @@
 //!
 //! # What this crate cannot see
 //!
-//! The estimator, and the model that it fits: data that were simulated with it would fit too well. This does not compile:
+//! The estimator and its model are not reachable: data simulated with the model that is fitted would fit too well. This
+//! does not compile:
 //!
 //! ```compile_fail,E0433
 //! use calibrig_estimation::identification::identify;
@@ -101,7 +102,7 @@ pub struct AsBuilt {
     pub statics: StaticProperties,
     /// Real offset of the target in the flange frame, m.
     pub target: Vector3<f64>,
-    /// What it does beside its geometry and its elasticity.
+    /// Errors besides geometry and elasticity.
     pub effects: Effects,
 }
 
@@ -114,7 +115,7 @@ pub struct SettledPose {
     pub links: Vec<Transform>,
     /// Deflection of every drive, rad or m. With a four-bar, the elbow's drive is the crank's.
     pub deflection: Vec<f64>,
-    /// Deflection of all that yields beside the drives, in the order of the chain, then the rod.
+    /// Deflection of all springs besides the drives, in the order of the chain, then the rod.
     pub elastic: Vec<ElasticDeflection>,
     /// Origin of the crank's frame (at the shoulder), crank end, lever end and elbow of the four-bar in the base frame, m.
     pub linkage: Option<[Vector3<f64>; 4]>,
@@ -128,7 +129,7 @@ pub struct SettledPose {
     pub steps: u32,
 }
 
-/// What yields beside the drives.
+/// What deflects besides the drives.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ElasticPlace {
     /// The bearing of a joint.

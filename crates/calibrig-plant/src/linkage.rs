@@ -1,4 +1,4 @@
-//! The elbow's four-bar without deflection: where the plant starts, and what it refuses.
+//! The elbow's four-bar without deflection: the plant's starting point, and what the plant refuses.
 
 use std::f64::consts::PI;
 
@@ -17,7 +17,7 @@ pub(super) struct Closed {
     pub(super) rod: [f64; 2],
 }
 
-/// Closes the loop of the unloaded robot at the joint variables of the exact parallelogram, of which the elbow's decides between the two
+/// Closes the loop of the unloaded robot at the joint variables of the exact parallelogram; the elbow's variable selects one of the two
 /// ways to close.
 pub(super) fn close(robot: &AsBuilt, joints: &[f64], closure: &Loop) -> Result<Closed, PlantError> {
     let (shoulder, elbow) = (closure.shoulder, closure.elbow);
@@ -52,7 +52,7 @@ pub(super) fn close(robot: &AsBuilt, joints: &[f64], closure: &Loop) -> Result<C
     Ok(Closed { elbow, rod: [rod.y.atan2(rod.x), -rod.z.clamp(-1.0, 1.0).asin()] })
 }
 
-/// The angle, by whole turns nearest to the other.
+/// The angle plus the whole turns that bring it nearest to the other.
 fn nearest(angle: f64, to: f64) -> f64 {
     let turn = 2.0 * PI;
     angle - turn * ((angle - to) / turn).round()
@@ -62,6 +62,6 @@ fn nearest(angle: f64, to: f64) -> f64 {
 pub(super) fn check_transmission(rod: &Vector3<f64>, lever_motion: &Vector3<f64>) -> Result<(), PlantError> {
     let sine = (rod.dot(lever_motion) / (rod.norm() * lever_motion.norm())).abs();
     let angle = sine.min(1.0).asin();
-    // A NaN is left to the steps, which do not end with one.
+    // A NaN is left to the steps, which do not converge with one.
     if angle < LEAST_TRANSMISSION_ANGLE { Err(PlantError::Singular { angle }) } else { Ok(()) }
 }

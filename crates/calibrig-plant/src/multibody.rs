@@ -13,29 +13,29 @@ use super::{AsBuilt, ElasticDeflection, PlantError, SettleOptions, SettledPose};
 use calibrig_model::geometry::{Transform, rotation_x, rotation_y, rotation_z, translation};
 use calibrig_model::{BeamSegment, Payload, SegmentLength};
 
-/// Steps of Newton's method at most; a few of the size of the deflections bring it to the last digits.
+/// Largest number of Newton steps; a few are enough for the last digits.
 const MOST_NEWTON_STEPS: u32 = 12;
-/// A step of Newton's method so small (rad or m) that behind it nothing is left but rounding.
+/// Size of a Newton step (rad or m) after which only rounding is left.
 const CONVERGED: f64 = 1e-9;
-/// A step so small (rad or m) that the tangent stiffness stays as it is.
+/// Size of a step (rad or m) up to which the tangent stiffness stays as it is.
 const SAME_TANGENT: f64 = 1e-3;
-/// A step so large (rad or m) that the tangent says nothing about its end.
+/// Size of a step (rad or m) from which the tangent says nothing about its end.
 const ASTRAY: f64 = 1.0;
 
 /// The rapier multibody of one robot.
 ///
-/// Every elastic direction is a reduced coordinate on a spring that rapier integrates implicitly; the drives' rest at the command. A
-/// drive of infinite stiffness is a kinematic joint: the solver leaves it exactly where it was put. The four-bar of the elbow is closed by
-/// an impulse joint between its rod and its lever. A four-bar without statics has a rigid rod and no mass; statics of one whose lengths
-/// are not known have no effect.
+/// Every elastic direction is a reduced coordinate on a spring that rapier integrates implicitly; the drives' springs rest at the command.
+/// A drive of infinite stiffness is a kinematic joint: the solver leaves it exactly where it is. The four-bar of the elbow is closed by an
+/// impulse joint between its rod and its lever. A four-bar without statics has a rigid rod and no mass; statics without known lengths have
+/// no effect.
 pub struct Plant {
     pub(super) robot: AsBuilt,
-    /// The last load of the robot, where the flange carries one.
+    /// The last load of the robot, if the flange carries one.
     pub(super) payload: Option<Payload>,
     pub(super) options: SettleOptions,
     pub(super) tree: Tree,
     pub(super) chain: Chain,
-    /// Where poses are confirmed, if not by a step of the chain itself.
+    /// Where poses are confirmed, unless by a step of the chain itself.
     pub(super) confirmation: Option<Confirmation>,
     pub(super) statics: Statics,
     target_in_last: Vector,
@@ -43,16 +43,16 @@ pub struct Plant {
     commanded: Vec<f64>,
     /// Where the spring of every coordinate rests.
     rest: Vec<f64>,
-    /// Where Newton's method has come to.
+    /// Result of Newton's method.
     pub(super) coordinates: Vec<f64>,
     /// Beyond the rest.
     deflection: Vec<f64>,
     left_over: DVector<f64>,
-    /// Whether links are shifted behind their joints.
+    /// Whether links are shifted after their joints.
     displaced: bool,
     /// Whether the tree depends on the pose.
     varies: bool,
-    /// At most so many steps of Newton's method.
+    /// Largest number of steps of Newton's method.
     pub(super) newton_steps: u32,
 }
 
@@ -86,16 +86,16 @@ impl Plant {
         })
     }
 
-    /// The pose at rest under gravity and loads at a command (SI, one an actuator).
+    /// The pose at rest under gravity and loads at a command (SI, one per actuator).
     ///
-    /// It depends on the robot, what it [carries](Self::carry), the options and the command; not one bit of it on the poses before.
+    /// It depends only on the robot, what it [carries](Self::carry), the options and the command; no bit depends on earlier poses.
     pub fn settle(&mut self, command: &[f64]) -> Result<SettledPose, PlantError> {
         self.settle_displaced(command, &[])
     }
 
-    /// Like [`Plant::settle`], with every link's frame shifted: `motion · Tx·Ty·Tz·Rx·Ry·Rz`, directly behind the joint's motion and in
-    /// front of a bearing on the moving side, by three lengths (m) and three angles (rad). Without an entry nothing is shifted;
-    /// otherwise there is one a joint.
+    /// Like [`Plant::settle`], with every link's frame shifted: `motion · Tx·Ty·Tz·Rx·Ry·Rz`, directly after the joint's motion and in
+    /// front of a bearing on the moving side, by three lengths (m) and three angles (rad). Empty for no shift; otherwise one entry per
+    /// joint.
     pub fn settle_displaced(
         &mut self,
         command: &[f64],
@@ -104,7 +104,7 @@ impl Plant {
         self.settle_and(self.options.confirm, command, displacements)
     }
 
-    /// Settles, and has the pose confirmed or not: see [`SettleOptions::confirm`].
+    /// Settles, with or without a confirmation: see [`SettleOptions::confirm`].
     pub(super) fn settle_and(
         &mut self,
         confirm: bool,
@@ -174,7 +174,7 @@ impl Plant {
         Ok(())
     }
 
-    /// The pose that Newton's method finds, confirmed by a step of rapier; where it finds none, or the step leaves it, steps of rapier until
+    /// The pose that Newton's method finds, confirmed by a step of rapier; if it finds none, or the step leaves it, steps of rapier until
     /// nothing moves any more.
     fn relax(&mut self, confirm: bool) -> Result<SettledPose, PlantError> {
         let is_stable = self.newton()?;
@@ -208,7 +208,7 @@ impl Plant {
         Err(PlantError::NotSettled { steps, tip_motion, residual, closure })
     }
 
-    /// Takes a step of rapier from a pose at rest. Returns whether it is left at rest where it was.
+    /// Takes a step of rapier from a pose at rest. Returns whether the pose stayed where it was.
     fn is_confirmed(&mut self) -> bool {
         let (springs, tip) = (self.springs(), self.tip());
         if let Some(confirmation) = &mut self.confirmation {
@@ -255,7 +255,7 @@ impl Plant {
         self.chain.pose(last).transform_point(self.target_in_last)
     }
 
-    /// Deflections and forces in the present pose. Returns whether the stiffness of a drive is no longer what it was.
+    /// Deflections and forces in the present pose. Returns whether the stiffness of a drive has changed.
     pub(super) fn evaluate(&mut self) -> bool {
         for (coordinate, deflection) in self.deflection.iter_mut().enumerate() {
             *deflection = self.chain.coordinate(coordinate) - self.rest[coordinate];
@@ -264,9 +264,9 @@ impl Plant {
         self.statics.stiffen(&self.deflection)
     }
 
-    /// Places the chain where Newton's method on its own Jacobians finds the pose at rest; in the unloaded pose where it finds none. Returns
-    /// whether it found one, with a tangent stiffness next to it that is positive definite; where it is not even in the unloaded pose, the
-    /// loads overpower the springs.
+    /// Places the chain where Newton's method on its own Jacobians finds the pose at rest, or in the unloaded pose if it finds none. Returns
+    /// whether it found one with a positive definite tangent stiffness nearby; if the tangent is not positive definite even in the unloaded
+    /// pose, the loads overpower the springs.
     fn newton(&mut self) -> Result<bool, PlantError> {
         self.coordinates.copy_from_slice(&self.rest);
         self.chain.place(&self.coordinates);
@@ -299,7 +299,7 @@ impl Plant {
         Ok(false)
     }
 
-    /// Refuses a pose at rest that is unstable or next to the four-bar's singularity.
+    /// Refuses a pose at rest that is unstable or close to the four-bar's singularity.
     fn check_settled(&self, is_stable: bool, steps: u32) -> Result<(), PlantError> {
         if let (Some(closure), Some(elbow)) = (self.statics.closure(), self.elbow()) {
             let lever_motion = closure.jacobian.column(elbow).into_owned();

@@ -5,8 +5,9 @@
 pub struct SettleOptions {
     /// Length of a step, s.
     ///
-    /// A step starts at rest and moves the joints by `(K + M/dt²)⁻¹` times the force left over, K the stiffness of the springs and
-    /// M the mass matrix: long steps solve the statics alone. Drives so soft that long steps overshoot settle with shorter ones.
+    /// A step starts at rest and moves the joints by `(K + M/dt²)⁻¹` times the force left over, with K the stiffness of the
+    /// springs and M the mass matrix: long steps solve the statics alone. If drives are so soft that long steps overshoot, use
+    /// shorter ones.
     pub dt: f64,
     /// Whether a step of rapier confirms every pose. It changes no bit of a pose and takes half of the time.
     pub confirm: bool,

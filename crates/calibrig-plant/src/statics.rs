@@ -1,8 +1,8 @@
 //! Forces, closure and tangent stiffness of a chain in its present pose, from rapier's body Jacobians.
 //!
 //! A coordinate j moves a point p that it carries with velocity `v + w × p`. Let F and `S = Σ p fᵀ` be force and first moment of all that
-//! j carries. Then the generalised force is `v·F + Σ w·(p × f)`, and a coordinate i in front of j on the same branch changes it by
-//! `wᵢ · h`, `h = v × F + (S - tr S) w`: forces are constant in the base, and so are v and w but for the rotation of i.
+//! j carries. Then the generalised force is `v·F + Σ w·(p × f)`, and a coordinate i in front of j on the same branch changes it by `wᵢ ·
+//! h`, `h = v × F + (S - tr S) w`: forces are constant in the base, and so are v and w except for the rotation of i.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix3, Matrix3xX, Vector3};
 
@@ -11,8 +11,8 @@ use super::chain::{Chain, point, vector};
 use super::effects::StiffnessCurve;
 use super::tree::{Coordinate, Pull, Role, Stretch, Tree};
 
-/// Of the loop in [`Statics::tangent`], N/m: so stiff that only motion that keeps it closed can be unstable, so soft that the springs
-/// beside it keep their digits.
+/// Stiffness of the loop in [`Statics::tangent`], N/m: so stiff that only motion that keeps it closed can be unstable, so soft that
+/// other springs keep their digits.
 const LOOP_STIFFNESS: f64 = 1e9;
 
 /// What does not change with the pose.
@@ -21,7 +21,7 @@ struct Branches {
     forces: Vec<Pull>,
     gravity: Vector3<f64>,
     nodes: Vec<usize>,
-    /// Of every coordinate, those in front of it that turn what follows.
+    /// For every coordinate, those in front of it that turn the following bodies.
     turning: Vec<Vec<usize>>,
     loop_ends: Option<LoopEnds>,
     hoses: Vec<HoseEnds>,
@@ -29,15 +29,15 @@ struct Branches {
 
 struct HoseEnds {
     stretch: Stretch,
-    /// Of every coordinate, whether it carries either end.
+    /// For every coordinate, whether it carries either end.
     carries: Vec<(bool, bool)>,
 }
 
 /// A hose in the present pose.
 struct Stretched {
-    /// Change of the force on its second end per displacement of the second end against the first, N/m.
+    /// Change of the force on its second end per displacement of the second end relative to the first, N/m.
     stiffness: Matrix3<f64>,
-    /// How the coordinates move the second end against the first, 3 x n.
+    /// How the coordinates move the second end relative to the first, 3 x n.
     jacobian: Matrix3xX<f64>,
 }
 
@@ -51,30 +51,31 @@ struct LoopEnds {
     passive: Vec<usize>,
 }
 
-/// The loop in the present pose.
+/// The constraint of the loop in the present pose.
 #[derive(Debug, Clone)]
-pub(super) struct Closure {
+pub(super) struct LoopConstraint {
     /// The rod's end, in the base frame.
     pub(super) tip: Vector3<f64>,
     /// The lever's end, in the base frame.
     pub(super) lever: Vector3<f64>,
-    /// How the coordinates move the lever's end against the rod's, 3 x n.
+    /// How the coordinates move the lever's end relative to the rod's, 3 x n.
     pub(super) jacobian: Matrix3xX<f64>,
     /// On the lever's end, N; its opposite acts on the rod's.
     pub(super) reaction: Vector3<f64>,
 }
 
-impl Closure {
+impl LoopConstraint {
     /// From the rod's end to the lever's.
     pub(super) fn gap(&self) -> Vector3<f64> {
         self.lever - self.tip
     }
 }
 
-/// The forces on a chain, and what it makes of them.
+/// The forces on a chain, and their effect.
 pub(super) struct Statics {
     branches: Branches,
-    /// Zero for rigid drives, which `is_rigid` tells from passive coordinates. Of a drive that stiffens, that of its range.
+    /// Zero for rigid drives; `is_rigid` distinguishes them from passive coordinates. For a stiffening drive, that of its
+    /// present range.
     stiffness: Vec<f64>,
     /// Of the coordinates whose drives stiffen: coordinate, stiffness without that, curve.
     curves: Vec<(usize, f64, StiffnessCurve)>,
@@ -85,7 +86,7 @@ pub(super) struct Statics {
     carried: Vec<(Vector3<f64>, Matrix3<f64>)>,
     /// Generalised force of weights, constant forces and the loop's reaction.
     load: DVector<f64>,
-    closure: Option<Closure>,
+    closure: Option<LoopConstraint>,
     hoses: Vec<Stretched>,
     /// Constant forces and those of the hoses, in the present pose.
     pulls: Vec<Pull>,
@@ -110,7 +111,7 @@ impl Statics {
             twists: vec![(Vector3::zeros(), Vector3::zeros()); count],
             carried: vec![(Vector3::zeros(), Matrix3::zeros()); tree.nodes.len()],
             load: DVector::zeros(count),
-            closure: tree.closure.as_ref().map(|_| Closure {
+            closure: tree.closure.as_ref().map(|_| LoopConstraint {
                 tip: Vector3::zeros(),
                 lever: Vector3::zeros(),
                 jacobian: Matrix3xX::zeros(count),
@@ -142,8 +143,8 @@ impl Statics {
         changed
     }
 
-    /// Stiffness of every coordinate's spring (zero of a rigid drive and where only the loop holds it) and the deflection at which it rests: of a drive
-    /// that stiffens, of the linear spring that is tangent to it at its deflection.
+    /// Stiffness of every coordinate's spring (zero for a rigid drive and if only the loop holds it) and the deflection at which it rests; for a
+    /// stiffening drive, those of the linear spring that is tangent to it at its deflection.
     pub(super) fn springs(&self, deflection: &[f64]) -> Vec<(f64, f64)> {
         let mut springs: Vec<_> = self.stiffness.iter().map(|stiffness| (*stiffness, 0.0)).collect();
         for (coordinate, own, curve) in &self.curves {
@@ -154,7 +155,7 @@ impl Statics {
     }
 
     /// The loop in the pose that was last evaluated.
-    pub(super) fn closure(&self) -> Option<&Closure> {
+    pub(super) fn closure(&self) -> Option<&LoopConstraint> {
         self.closure.as_ref()
     }
 
@@ -245,7 +246,7 @@ impl Statics {
         }
     }
 
-    /// Force left over on every coordinate at these deflections, N or N m; none on rigid drives.
+    /// Force left over on every coordinate at these deflections, N or N m; zero for rigid drives.
     pub(super) fn left_over(&self, deflection: &[f64], out: &mut DVector<f64>) {
         for (coordinate, out) in out.iter_mut().enumerate() {
             *out = if self.is_rigid[coordinate] {
@@ -260,7 +261,7 @@ impl Statics {
         }
     }
 
-    /// The largest difference between a deflection and what the load would cause on its spring.
+    /// The largest difference between a deflection and the one that the load would cause on its spring.
     pub(super) fn residual(&self, deflection: &[f64]) -> f64 {
         let mut largest: f64 = 0.0;
         for (coordinate, deflection) in deflection.iter().enumerate() {
@@ -324,7 +325,7 @@ impl Statics {
         movable
     }
 
-    /// The displacement of Newton's method to where nothing is left over and the loop is closed.
+    /// The displacement of Newton's method towards equilibrium with the loop closed.
     pub(super) fn newton(
         &self,
         tangent: &Cholesky<f64, Dyn>,
@@ -342,7 +343,7 @@ impl Statics {
     }
 
     /// The smallest eigenvalue of the tangent stiffness, each coordinate scaled by its own spring (and the loop): one without a load, zero
-    /// where the pose gives way.
+    /// if the pose is about to collapse.
     pub(super) fn margin(&self) -> f64 {
         let tangent = self.tangent();
         let scale = DVector::from_fn(tangent.nrows(), |i, _| {
@@ -389,7 +390,7 @@ fn act(carried: &mut (Vector3<f64>, Matrix3<f64>), at: &Vector3<f64>, force: &Ve
     carried.1 += at * force.transpose();
 }
 
-/// The reaction that leaves no force on the passive coordinates; none where they cannot be held.
+/// The reaction that leaves no force on the passive coordinates; none if they cannot be held.
 fn holding(jacobian: &Matrix3xX<f64>, load: &DVector<f64>, passive: &[usize]) -> Vector3<f64> {
     let [a, b, c] = *passive else { return Vector3::zeros() };
     let columns = [a, b, c].map(|i| jacobian.column(i).into_owned());
@@ -414,7 +415,7 @@ impl Branches {
         };
         let turning = (0..nodes.len()).map(|j| {
             let in_front = (0..=j).filter(|&i| coordinates[i].1.axis >= 3 && is_carried(nodes[j], nodes[i]));
-            // Within a node, the rotation comes behind the translations.
+            // Within a node, the rotation comes after the translations.
             in_front.filter(|&i| i == j || nodes[i] != nodes[j]).collect()
         });
         let turning = turning.collect();

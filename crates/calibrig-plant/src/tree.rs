@@ -1,4 +1,4 @@
-//! A robot as a tree of bodies on springs: which body hangs on which, along or about which axes, with what mass.
+//! A robot as a tree of bodies on springs: which body is attached to which, along or about which axes, with what mass.
 
 use nalgebra::{Matrix3, Translation3, Vector3};
 
@@ -9,7 +9,7 @@ use calibrig_model::{
     Beam, BeamRun, BeamSegment, BearingSide, Body, FourBar, JointKind, RIGID, Section, SixStiffness,
 };
 
-/// Radius of gyration of a point mass, m: rapier inverts inertias, and at rest they have no say.
+/// Radius of gyration of a point mass, m: rapier inverts inertias, and at rest they have no effect.
 const POINT_GYRATION: f64 = 0.1;
 
 /// Which of the six axes of its joint frame a joint moves along or about, in the order of [`SixStiffness`].
@@ -27,7 +27,7 @@ pub(super) enum Role {
     Drive(usize),
     /// A spring that rests at zero.
     Elastic(ElasticPlace),
-    /// Held by the closed loop alone.
+    /// Held only by the closed loop.
     Passive,
 }
 
@@ -36,7 +36,7 @@ pub(super) enum Role {
 pub(super) struct Coordinate {
     /// Of the joint frame: 0..3 along, 3..6 about x, y, z.
     pub(super) axis: usize,
-    /// N/m or N m/rad; infinite for a rigid drive, zero where only the loop holds it.
+    /// N/m or N m/rad; infinite for a rigid drive, zero if only the loop holds it.
     pub(super) stiffness: f64,
     pub(super) role: Role,
 }
@@ -45,19 +45,19 @@ pub(super) struct Coordinate {
 /// then about at most one.
 #[derive(Debug, Clone)]
 pub(super) struct Node {
-    /// The base where absent.
+    /// The base if absent.
     pub(super) parent: Option<usize>,
     pub(super) parent_from_joint: Transform,
     pub(super) body_from_joint: Transform,
     pub(super) coordinates: Vec<Coordinate>,
     /// What moves with it, in its frame.
     pub(super) bodies: Vec<Body>,
-    /// Whether place, stiffness or mass follow a telescope's extension.
+    /// Whether place, stiffness or mass depend on a telescope's extension.
     pub(super) varies: bool,
 }
 
 impl Node {
-    /// The body of all that moves with it; no mass and no inertia where nothing does.
+    /// The body of all that moves with it; without mass and inertia if nothing does.
     pub(super) fn body(&self) -> Body {
         let mass: f64 = self.bodies.iter().map(|body| body.mass).sum();
         if mass == 0.0 {
@@ -123,7 +123,7 @@ pub(super) struct Pull {
 /// A hose between points of two nodes.
 #[derive(Debug, Clone)]
 pub(super) struct Stretch {
-    /// Node (the ground where absent) and point in its frame.
+    /// Node (the ground if absent) and point in its frame.
     pub(super) ends: [(Option<usize>, Vector3<f64>); 2],
     pub(super) hose: Hose,
 }
@@ -162,7 +162,7 @@ impl Tree {
         Self { nodes: builder.nodes, links, motions, forces, hoses, closure }
     }
 
-    /// Whether the tree depends on the joint variables that it is built at.
+    /// Whether the tree depends on the joint variables at which it is built.
     pub(super) fn varies(&self) -> bool {
         self.nodes.iter().any(|node| node.varies)
     }
@@ -259,7 +259,7 @@ impl Builder<'_> {
         (front, motion, tip)
     }
 
-    /// The six coordinates of a group at a point of the mount's frame, without those that are rigid.
+    /// The six coordinates of a group at a point of the mount's frame, except the rigid ones.
     fn group(
         &mut self,
         mount: Mount,
@@ -290,7 +290,7 @@ impl Builder<'_> {
         last
     }
 
-    /// One group and two lumps a segment; returns the node of the tip.
+    /// One group and two lumps per segment; returns the node of the tip.
     fn beam(&mut self, link: usize, beam: &Beam, q: f64, root: usize) -> usize {
         let mut node = root;
         for (segment, (piece, start)) in beam.segments.iter().zip(starts(beam, q)).enumerate() {
@@ -332,7 +332,7 @@ impl Builder<'_> {
             if statics.crank.mass > 0.0 {
                 self.nodes[crank].bodies.push(statics.crank.clone());
             }
-            // The rod itself is without mass, so that it carries no moment but its springs'.
+            // The rod itself has no mass, so that it carries only its springs' moments.
             self.nodes[crank].bodies.push(point_mass(0.5 * statics.rod_mass, crank_end));
             self.nodes[lever].bodies.push(point_mass(0.5 * statics.rod_mass, lever_at));
         }
@@ -397,7 +397,7 @@ fn starts(beam: &Beam, q: f64) -> impl Iterator<Item = f64> + '_ {
     })
 }
 
-/// Mass and length of what the beam's sections weigh, and their first moment, kg and kg m.
+/// Mass and first moment of the beam's sections, kg and kg m.
 pub(super) fn beam_mass(beam: &Beam, q: f64) -> (f64, Vector3<f64>) {
     let pieces = beam.segments.iter().zip(starts(beam, q)).map(|(piece, start)| {
         let length = piece.length.at(q);
@@ -407,7 +407,7 @@ pub(super) fn beam_mass(beam: &Beam, q: f64) -> (f64, Vector3<f64>) {
     pieces.fold((0.0, Vector3::zeros()), |sum, piece| (sum.0 + piece.0, sum.1 + piece.1))
 }
 
-/// What is left of a link's body for the root of its beam: mass and first moment of the whole stay.
+/// The rest of a link's body, at the root of its beam: mass and first moment of the whole are kept.
 fn without_beam(body: &Body, beam: &Beam, q: f64) -> Body {
     let (beam_mass, beam_moment) = beam_mass(beam, q);
     let mass = body.mass - beam_mass;
@@ -420,7 +420,7 @@ fn without_beam(body: &Body, beam: &Beam, q: f64) -> Body {
 
 /// The group of a uniform Timoshenko segment. Bending about the second axis goes with shear along the third, and vice versa.
 fn segment_stiffness(section: &Section, length: f64, run: BeamRun) -> SixStiffness {
-    // What yields at one length yields at every length: the tree keeps its form.
+    // What is elastic at one length is elastic at every length: the tree keeps its form.
     let spring =
         |is_elastic: bool, stiffness: f64| if is_elastic { stiffness.min(f64::MAX) } else { stiffness };
     let transverse = |shear: f64, bending: f64| {

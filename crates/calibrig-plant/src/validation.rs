@@ -13,7 +13,7 @@ const TRIANGLE_SLACK: f64 = 1e-6;
 /// Relative slack of the symmetry of an inertia.
 const SYMMETRY_SLACK: f64 = 1e-9;
 
-/// Refuses a robot whose numbers make no machine.
+/// Refuses a robot with invalid numbers.
 pub(super) fn check_robot(robot: &AsBuilt) -> Result<(), PlantError> {
     let joints = robot.kinematics.joint_count();
     if joints == 0 {
@@ -29,7 +29,7 @@ pub(super) fn check_robot(robot: &AsBuilt) -> Result<(), PlantError> {
         check_body(joint, body)?;
     }
     for (joint, &stiffness) in robot.statics.drive_stiffness.iter().enumerate() {
-        // Infinity passes: it is a rigid drive.
+        // Infinity is accepted: it is a rigid drive.
         if stiffness.is_nan() || stiffness <= 0.0 {
             return Err(PlantError::Stiffness { joint, stiffness });
         }
@@ -61,13 +61,13 @@ pub(super) fn check_options(options: &SettleOptions) -> Result<(), PlantError> {
     }
 }
 
-/// Refuses a command that is not one finite number an actuator.
+/// Refuses a command unless it is one finite number per actuator.
 pub(super) fn check_command(joints: usize, command: &[f64]) -> Result<(), PlantError> {
     check_length("command", joints, command.len())?;
     command.iter().enumerate().try_for_each(|(joint, &value)| check_finite("command", Some(joint), &[value]))
 }
 
-/// Refuses displacements that are neither absent nor finite numbers, six a joint.
+/// Refuses displacements unless they are absent or six finite numbers per joint.
 pub(super) fn check_displacements(joints: usize, displacements: &[[f64; 6]]) -> Result<(), PlantError> {
     if displacements.is_empty() {
         return Ok(());
@@ -141,7 +141,7 @@ fn check_actuators(map: &ActuatorMap, model: &KinematicModel) -> Result<(), Plan
 }
 
 fn check_positive(joint: usize, field: &'static str, values: &[f64]) -> Result<(), PlantError> {
-    // Infinity passes: it is rigid.
+    // Infinity is accepted: it is rigid.
     match values.iter().find(|value| !(**value > 0.0)) {
         Some(&value) => Err(PlantError::NotPositive { joint, field, value }),
         None => Ok(()),

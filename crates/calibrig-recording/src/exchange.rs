@@ -497,10 +497,10 @@ mod tests {
         let mut twice = set.clone();
         twice.measurements.stations[0].nests[0].time = None;
         let error = written_and_read(&twice, &joints).expect_err("no time").to_string();
-        assert!(error.contains("is there twice, and not at two times"), "{error}");
+        assert!(error.contains("appears twice, but not at two different times"), "{error}");
         set.measurements.stations[0].nests[1].reading = set.measurements.observations[0].reading.clone();
         let error = written_and_read(&set, &joints).expect_err("a nest").to_string();
-        assert!(error.contains("was read as a full pose, and a nest is a point"), "{error}");
+        assert!(error.contains("was read as a full pose, but a nest is a point"), "{error}");
     }
 
     #[test]

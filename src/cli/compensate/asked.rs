@@ -14,7 +14,7 @@ use calibrig_estimation::inverse::{Circumstances, GoalError, Tool};
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Numbers(pub Vec<f64>);
 
-/// Numbers joined by commas, which may be infinite.
+/// Numbers separated by commas, which may be infinite.
 pub(super) fn numbers(text: &str) -> Result<Numbers, String> {
     let all: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse::<f64>()).collect();
     match all {
@@ -23,7 +23,7 @@ pub(super) fn numbers(text: &str) -> Result<Numbers, String> {
         {
             Ok(Numbers(all))
         }
-        _ => Err("expected numbers joined by commas, such as 0,-90,90".to_owned()),
+        _ => Err("expected numbers separated by commas, such as 0,-90,90".to_owned()),
     }
 }
 
@@ -33,7 +33,7 @@ pub(super) fn lengths(text: &str) -> Result<Numbers, String> {
     if all.iter().all(|mm| mm.is_finite()) {
         return Ok(Numbers(all.iter().map(|mm| 1e-3 * mm).collect()));
     }
-    Err("expected finite numbers of mm joined by commas, such as 0,0,120".to_owned())
+    Err("expected finite numbers of mm separated by commas, such as 0,0,120".to_owned())
 }
 
 pub(super) fn positive(text: &str) -> Result<f64, String> {
@@ -46,7 +46,7 @@ pub(super) fn positive(text: &str) -> Result<f64, String> {
 pub(super) fn length(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(um) if (1e-5..=1e6).contains(&um) => Ok(um),
-        _ => Err("expected a number of um from 0.00001 on".to_owned()),
+        _ => Err("expected a number of um, at least 0.00001".to_owned()),
     }
 }
 
@@ -58,10 +58,10 @@ pub(super) fn signs(text: &str) -> Result<Signs, String> {
         _ => None,
     };
     let all: Option<Vec<i8>> = text.split(',').map(sign).collect();
-    all.map(Signs).ok_or_else(|| "expected -1, 0 or 1 for every actuator, joined by commas".to_owned())
+    all.map(Signs).ok_or_else(|| "expected -1, 0 or 1 for every actuator, separated by commas".to_owned())
 }
 
-/// As many as the robot has actuators that are commanded, spread over all of its joints.
+/// One per commanded actuator, spread over all joints.
 fn spread<T: Copy>(
     stated: &[T],
     model: &CalibrationModel,
@@ -80,7 +80,7 @@ fn spread<T: Copy>(
         });
         return Err(CliError::Flag {
             flag,
-            message: format!("has {} numbers, and the robot has {expected} actuators", stated.len()),
+            message: format!("has {} numbers, but the robot has {expected} actuators", stated.len()),
             expected: format!("{what} of {}", names.collect::<Vec<_>>().join(", ")),
         });
     }
@@ -88,7 +88,7 @@ fn spread<T: Copy>(
     Ok(commanded.iter().map(|is| if *is { stated.next().unwrap_or(other) } else { other }).collect())
 }
 
-/// Numbers in mm and deg as m and rad.
+/// Numbers in mm and deg, converted to m and rad.
 fn in_si(values: Vec<f64>, model: &CalibrationModel) -> Vec<f64> {
     let one = |(value, link): (f64, &calibrig_model::CraigLink)| match link.kind {
         JointKind::Revolute => value.to_radians(),
@@ -119,13 +119,13 @@ pub(super) fn speeds(stated: &Numbers, model: &CalibrationModel) -> Result<Vec<f
         return Err(CliError::Flag {
             flag: "speed-limits",
             message: format!("holds {number}"),
-            expected: "speeds above zero, inf without a limit".to_owned(),
+            expected: "speeds above zero, inf for no limit".to_owned(),
         });
     }
-    Ok(in_si(spread(&stated.0, model, f64::INFINITY, "speed-limits", "a speed a second")?, model))
+    Ok(in_si(spread(&stated.0, model, f64::INFINITY, "speed-limits", "one speed per actuator")?, model))
 }
 
-/// What is to be at the goals, and its name.
+/// The part of the robot that goals place, and its name.
 pub(super) fn tool(args: &Args, file: &EstimateFile) -> Result<(Tool, String), CliError> {
     let robot = &file.estimate.robot;
     let of_flag = |flag: &'static str| {
@@ -144,7 +144,7 @@ pub(super) fn tool(args: &Args, file: &EstimateFile) -> Result<(Tool, String), C
                 let found = file.targets.iter().position(|name| name == wanted);
                 found.ok_or_else(|| CliError::Flag {
                     flag: "tool",
-                    message: format!("is {wanted:?}, which is no target of the estimate"),
+                    message: format!("is {wanted:?}, which is not a target of the estimate"),
                     expected: format!("one of {}, or --tool-mm", file.targets.join(", ")),
                 })?
             }
@@ -216,7 +216,7 @@ fn of_session(path: &std::path::Path, name: Option<&str>) -> Result<Payload, Cli
             Some(payload) => Ok((*payload).clone()),
             None => refused(
                 "payload",
-                format!("is {name:?}, which {} does not state", path.display()),
+                format!("is {name:?}, but {} states no such payload", path.display()),
                 format!("one of {}", names()),
             ),
         },

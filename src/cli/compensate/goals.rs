@@ -23,14 +23,14 @@ pub(super) struct Goals {
     pub way: Way,
     pub names: Vec<GoalName>,
     pub grid: Option<GridPlan>,
-    /// The text that the grid stands in.
+    /// The text that contains the grid.
     grid_source: Option<Source>,
-    /// What was made of the files, in words.
+    /// What was read from the files, in words.
     pub remarks: Vec<String>,
 }
 
 impl Goals {
-    /// A refused grid at its place.
+    /// An error of a grid, at its place in the file.
     pub fn refuse_grid(&self, error: CompensationError) -> CliError {
         let Some(source) = &self.grid_source else {
             let file = self.file.clone().into();
@@ -38,18 +38,18 @@ impl Goals {
         };
         let (key, help) = match &error {
             CompensationError::Grid(GridError::Count { .. }) => {
-                ("grid.points", "expected three counts of points")
+                ("grid.points", "expected three numbers of points, such as points = [3, 5, 5]")
             }
             CompensationError::Grid(GridError::Box { .. }) => {
-                ("grid.low_mm", "expected a box: high_mm above low_mm along every axis")
+                ("grid.low_mm", "expected a box with high_mm above low_mm along every axis")
             }
-            _ => ("grid", "expected a box that the tool reaches, held so"),
+            _ => ("grid", "expected a box that the tool can reach in this orientation"),
         };
         source.error(source.place_of(key), error, Some(help.to_owned())).into()
     }
 }
 
-/// Reads what is asked for; a speed is m/s.
+/// Reads what is asked for; a speed is in m/s.
 pub(super) fn read_goals(
     targets: Option<&Path>,
     grid: Option<&Path>,
@@ -77,7 +77,7 @@ pub(super) fn read_goals(
         if goals.grid.is_some() {
             let help = "expected [grid] in one of the files of --targets and --grid".to_owned();
             let place = file.source.place_of("grid");
-            return Err(file.source.error(place, "a second [grid]", Some(help)).into());
+            return Err(file.source.error(place, "[grid] is given twice", Some(help)).into());
         }
         (goals.grid, goals.grid_source) = (Some(grid_plan(stated)), Some(file.source));
         if goals.file.is_empty() {
@@ -132,8 +132,8 @@ fn raster_path(source: &Source, stated: &StatedRaster, speed: Option<f64>) -> Re
         (Some(_), Some(_)) => {
             return Err(refused(
                 "raster.speed_mm_per_s",
-                "the speed is stated twice, here and by --speed-mm-per-s".to_owned(),
-                "one of them",
+                "the speed is given twice, here and by --speed-mm-per-s".to_owned(),
+                "only one of them",
             ));
         }
         (Some(speed), None) | (None, Some(speed)) => speed,
@@ -173,9 +173,9 @@ fn of_table(table: &GoalTable, speed: Option<f64>) -> Result<Goals, CliError> {
     let refused = |error: PathError| refuse_row(table, &error);
     let way = match (table.is_timed(), speed) {
         (true, Some(_)) => {
-            let help = "no --speed-mm-per-s, or a table without the column";
+            let help = "either no --speed-mm-per-s, or a table without the column";
             return Err(table
-                .refuse(0, "the table has times of its own (time_s) beside --speed-mm-per-s", help)
+                .refuse(0, "the table has times (time_s), and --speed-mm-per-s is given as well", help)
                 .into());
         }
         (true, None) => {
@@ -207,13 +207,13 @@ fn file_name(path: &str) -> String {
     Path::new(path).file_name().map_or_else(|| path.to_owned(), |name| name.to_string_lossy().into_owned())
 }
 
-/// A refused path at the row that it is about.
+/// An error of a path, at its row.
 fn refuse_row(table: &GoalTable, error: &PathError) -> CliError {
     let (row, help) = match error {
-        PathError::Duplicate { point } => (*point, "each place of a path once, one behind the other"),
-        PathError::Time { point, .. } => (*point, "times that grow from row to row"),
+        PathError::Duplicate { point } => (*point, "consecutive places that differ"),
+        PathError::Time { point, .. } => (*point, "times that increase from row to row"),
         PathError::Goal { point, .. } | PathError::Kind { point, .. } => {
-            (*point, "finite numbers, alike in all rows")
+            (*point, "finite numbers, and the same columns in all rows")
         }
         _ => (0, "a path of two points or more, at a speed above zero"),
     };

@@ -10,11 +10,12 @@ use super::{check_free, write};
 use crate::handover::{FILES, hand_over, losses_text};
 use calibrig_estimation::identification::Mode;
 
-/// Write the calibrated robot as other programs take it, with what each file loses
+/// Write the calibrated robot in the forms that other programs read, with what each form loses
 ///
 /// estimate.json is the whole estimate: parameters, covariance, terms, tracker, and the robot before and after. robot.toml and robot.urdf are the
-/// calibrated robot in calibrig's own form; the URDF by itself is its rigid chain, as are the two D-H tables. offsets.csv is for controllers that
-/// take joint offsets, a tool and a base frame alone. losses.json, and the table that is printed, tell what each loses against the full model.
+/// calibrated robot in calibrig's own form; the URDF alone is its rigid chain, as are the two D-H tables. offsets.csv is for controllers that
+/// accept only joint offsets, a tool and a base frame. losses.json, and the table that is printed, say what each file loses against the full
+/// model.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   calibrig export calibrated runs/paper/recording.mcap --out calibrated
@@ -22,20 +23,20 @@ use calibrig_estimation::identification::Mode;
   calibrig export calibrated calibrated/estimate.json --model models/ur5/robot.toml --out again
   calibrig identify --model calibrated/robot.toml --measurements later.csv
 
-Of a recording the measurements are identified again, as by calibrig replay. Exit code 3 where that ends with it.")]
+The measurements of a recording are identified again, as calibrig replay does, with its exit code 3.")]
 pub(super) struct Args {
     /// A recording, or an estimate.json
     input: PathBuf,
-    /// Which estimate [default: the fullest one that was recorded]
+    /// Which estimate, such as elasto_geometric [default: the fullest one recorded]
     #[arg(long, value_name = "MODE", value_parser = fitted_mode)]
     mode: Option<Mode>,
     /// Folder for the files
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// The nominal robot's file, whose URDF is kept: of an estimate.json, or of a recording that holds none
+    /// The nominal robot's file, whose URDF is kept: needed with an estimate.json, or a recording that holds no robot
     #[arg(long, value_name = "ROBOT.toml")]
     model: Option<PathBuf>,
-    /// Write over files that are there
+    /// Overwrite existing files
     #[arg(long)]
     force: bool,
     /// Print the losses as JSON (schema calibrig.losses/1) instead of the table
@@ -51,7 +52,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     let Found { estimate, robot, ended, .. } = find(asked)?;
     if robot.is_none() && estimate.robot.sources.iter().any(|source| source.role == "urdf") {
         say(
-            "without --model ROBOT.toml the URDF of the nominal robot is not at hand: robot.urdf has no shapes",
+            "without --model ROBOT.toml the URDF of the nominal robot is not available: robot.urdf has no shapes",
         );
     }
     let handover = hand_over(&estimate, robot.as_ref())

@@ -14,7 +14,7 @@ use calibrig_estimation::identification::{IdentificationOptions, Mode, Prospect,
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::{CalibrationModel, ParameterId};
 
-/// A session that is planned, and what shall be fitted to it.
+/// A planned session, and what is to be fitted to it.
 struct Plan {
     name: String,
     poses_from: String,
@@ -143,8 +143,8 @@ fn write_text(plan: &Plan, prospect: &Prospect, text: &mut String) -> std::fmt::
     } else {
         "singular".to_owned()
     };
-    writeln!(text, "\nRank {} of {n} as an estimate has it, with its priors: {condition}", spectrum.rank)?;
-    writeln!(text, "Rank {} of {n} by measurements, nests and target alone", prospect.measured_rank)?;
+    writeln!(text, "\nRank {} of {n} in an estimate, with its priors: {condition}", spectrum.rank)?;
+    writeln!(text, "Rank {} of {n} from measurements, nests and target only", prospect.measured_rank)?;
     if !prospect.unloaded.is_empty() {
         let names = words(&prospect.unloaded).join(", ");
         writeln!(text, "Left out, because gravity hardly loads them in these poses: {names}")?;

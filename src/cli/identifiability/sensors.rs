@@ -72,7 +72,7 @@ fn as_text(name: &str, mode: Mode, results: &[SensorResult]) -> String {
 }
 
 fn write_text(name: &str, mode: Mode, results: &[SensorResult], text: &mut String) -> std::fmt::Result {
-    writeln!(text, "{name}, \"{}\": what each sensor tells at the same poses\n", mode.title())?;
+    writeln!(text, "{name}, \"{}\": what each sensor can determine at the same poses\n", mode.title())?;
     let line = |text: &mut String, title: &str, cell: &dyn Fn(&SensorResult) -> String| {
         write!(text, "{title:<NAME$}")?;
         for result in results {

@@ -1,4 +1,4 @@
-//! From flags to what is planned for: a scenario, a robot before a tracker, or what comes after a session.
+//! From flags to what is planned: a scenario, a robot in front of a tracker, or a session to continue.
 
 use std::path::{Path, PathBuf};
 
@@ -36,16 +36,16 @@ pub(super) struct Read {
     scenario: Option<Box<Scenario>>,
     options: IdentificationOptions,
     before: Option<(MeasurementSet, Estimate)>,
-    /// Stations and targets, where no scenario says so.
+    /// Stations and targets, if no scenario states them.
     stated: MeasurementSet,
 }
 
 /// A target off every axis, where it can be mounted, m.
 const MOUNTABLE_TARGET: Vector3<f64> = Vector3::new(0.1, 0.15, 0.2);
-/// End of the beam that is the reflector's own, and what shapes leave out of links, m.
+/// Part of the beam that is the reflector's own, and margin to the shapes of links, m.
 const STANDOFF: f64 = 0.025;
 const MARGIN: f64 = 0.01;
-/// Poses at which a robot's reach is looked at; radius of links as a part of it, and at most, m.
+/// Number of poses that estimate a robot's reach; radius of links as a part of it, and at most, m.
 const REACH_POSES: usize = 200;
 const OF_REACH: f64 = 0.08;
 const MOST_RADIUS: f64 = 0.08;
@@ -81,20 +81,20 @@ pub(super) fn read(args: &Args) -> Result<Read, CliError> {
     Ok(read)
 }
 
-/// What a session before says itself cannot be said by flags as well.
+/// Flags cannot change what a session has found already.
 fn refuse_unused(args: &Args) {
     let is_estimated = args.after.is_some();
     if !is_estimated && args.measurements.is_empty() {
         return;
     }
     for (flag, is_given, what) in [
-        ("--noise-um", args.noise_um.is_some(), "the noise of the readings is what the session found"),
-        ("--tracker-mm", args.tracker_mm.is_some(), "the tracker stands where the session found it"),
+        ("--noise-um", args.noise_um.is_some(), "the noise of the readings is that found in the session"),
+        ("--tracker-mm", args.tracker_mm.is_some(), "the tracker's place is that found in the session"),
         ("--terms", is_estimated && args.terms.is_some(), "the terms are those of the estimate"),
         (
             "--actuator-sigma",
             is_estimated && !args.actuator_sigma.is_empty(),
-            "what the machine does beside its model is as the estimate has it",
+            "the machine's own random errors are those of the estimate",
         ),
     ] {
         if is_given {
@@ -103,7 +103,7 @@ fn refuse_unused(args: &Args) {
     }
 }
 
-/// The same of a recording that holds its scenario.
+/// The same for a recording that holds its scenario.
 fn refuse_beside_scenario(args: &Args) {
     for (flag, is_given) in [
         ("--tracker", args.tracker.is_some()),
@@ -119,14 +119,14 @@ fn refuse_beside_scenario(args: &Args) {
     }
 }
 
-/// Options as flags change them.
+/// Options as changed by flags.
 fn adjust(args: &Args, options: &mut IdentificationOptions, model: &CalibrationModel) {
     if let Some(mode) = args.mode {
         options.mode = mode;
     }
     if let Some(families) = &args.terms {
         if options.mode != Mode::Extended {
-            misused("--terms: expected --mode extended beside it");
+            misused("--terms: expected --mode extended with it");
         }
         options.terms = Some(terms(families));
     }
@@ -138,7 +138,7 @@ fn adjust(args: &Args, options: &mut IdentificationOptions, model: &CalibrationM
     }
 }
 
-/// Geometry and stiffness, where anything is known of the latter.
+/// Geometry and stiffness, if anything is known about the latter.
 fn usual_mode(model: &CalibrationModel) -> Mode {
     if model.compliances().is_empty() { Mode::OnlyCalibration } else { Mode::ElastoGeometric }
 }
@@ -217,11 +217,11 @@ fn of_robot(args: &Args) -> Result<Read, CliError> {
         return of_files(args, robot);
     }
     if args.after.is_some() {
-        misused("--after beside --model: expected --measurements with what the estimate was made from");
+        misused("--after with --model: expected --measurements with the measurements that the estimate was made from");
     }
     robot.remarks.iter().for_each(|remark| say(remark));
     let in_flange = robot.target().unwrap_or_else(|| {
-        say("the robot's file states no target: it is taken to be mounted 100, 150, 200 mm off the flange");
+        say("the robot's file states no target: it is assumed 100, 150, 200 mm from the flange");
         MOUNTABLE_TARGET
     });
     let stated = with_statements(args, &robot, in_flange)?;
@@ -229,7 +229,7 @@ fn of_robot(args: &Args) -> Result<Read, CliError> {
     Ok(Read { file, robot, seed: None, scenario: None, options, before: None, stated })
 }
 
-/// Stations and targets as session file and robot's file state them.
+/// Stations and targets as stated in session file and robot's file.
 fn with_statements(args: &Args, robot: &Robot, in_flange: Vector3<f64>) -> Result<MeasurementSet, CliError> {
     let position = Vector3::new(1.0, 0.0, 0.0);
     let observation = Observation {
@@ -347,7 +347,7 @@ impl Read {
         Ok(cell)
     }
 
-    /// Where a robot is to work that no scenario tells of.
+    /// Working region of a robot without a scenario.
     fn region(&self, args: &Args) -> Region {
         let model = &self.robot.model;
         if args.region.is_empty() {
@@ -407,7 +407,7 @@ impl Read {
         }
     }
 
-    /// Of a robot that no scenario tells of.
+    /// For a robot without a scenario.
     fn around(&self, args: &Args, clearance: f64, angle: f64) -> Surroundings {
         let model = &self.robot.model;
         let up = -model.statics.as_ref().map_or(Vector3::new(0.0, 0.0, -9.81), |statics| statics.gravity);
@@ -430,7 +430,7 @@ impl Read {
             stations.iter().flatten().map(|own| own.inverse().translation.vector).collect();
         if !places.is_empty() && places.len() < stations.len() {
             misused(
-                "the session places some stations by nests, and others not: expected --tracker-mm with the place of these",
+                "the session places only some stations by nests: expected --tracker-mm with the place of the others",
             );
         }
         let opening = args.opening.and_then(|own| UnitVector3::try_new(own.0, 1e-12));
@@ -449,7 +449,7 @@ impl Read {
         }
     }
 
-    /// Where the stations stand by a session before, by nests, or else by the flag; `None` where it is not known.
+    /// Place of the stations: from a session, from nests, or else from the flag; `None` if unknown.
     fn stations(&self, args: &Args) -> Vec<Option<Transform>> {
         if let Some((_, estimate)) = &self.before {
             return estimate.robot.stations.iter().copied().map(Some).collect();
@@ -462,12 +462,12 @@ impl Read {
         let placed = |station: &Station| register(station).ok().map(|found| found.tracker_from_base);
         let by_nests: Vec<_> = self.stated.stations.iter().map(placed).collect();
         if stands.is_some() && by_nests.iter().all(Option::is_some) {
-            misused("--tracker-mm: the session's nests say already where the tracker stands");
+            misused("--tracker-mm: the session's nests already determine the tracker's place; expected no --tracker-mm");
         }
         by_nests.into_iter().map(|own| own.or(stands)).collect()
     }
 
-    /// Readings of a robot that no scenario tells of.
+    /// Readings of a robot without a scenario.
     fn stated_readings(&self, args: &Args) -> Result<Readings<'_>, CliError> {
         let noise = match (args.tracker, args.noise_um) {
             (Some(preset), _) => Noise::Instrument(preset.instrument()),
@@ -492,7 +492,7 @@ impl Read {
     }
 }
 
-/// Radius of the links of a robot whose shapes nobody knows, m: a short chain of thick ones would touch itself everywhere.
+/// Radius of the links of a robot without known shapes, m: a short chain of thick links would touch itself everywhere.
 fn usual_radius(model: &CalibrationModel) -> f64 {
     let first = model.kinematics.base_from_first.translation.vector;
     let reach = reachable_poses(model, REACH_POSES)
@@ -502,7 +502,7 @@ fn usual_radius(model: &CalibrationModel) -> f64 {
     (OF_REACH * reach).min(MOST_RADIUS)
 }
 
-/// How the readings of a session scattered, a coordinate in the mean; as the estimate found it where they state nothing.
+/// Mean scatter of a session's readings per coordinate; as the estimate found it if they state none.
 fn found_noise(set: &MeasurementSet, estimate: &Estimate) -> Noise {
     let stated: Vec<Matrix3<f64>> =
         set.observations.iter().filter_map(|own| own.reading.position_covariance()).collect();

@@ -49,7 +49,7 @@ fn failures_text(text: &mut String, summary: &CampaignSummary) {
     if summary.redrawn > 0 {
         let _ = writeln!(
             text,
-            "{} times something impossible was drawn, and drawn again (column redrawn)",
+            "{} times an impossible trial was drawn, and drawn again (column redrawn)",
             summary.redrawn
         );
     }
@@ -61,7 +61,7 @@ fn failures_text(text: &mut String, summary: &CampaignSummary) {
         let _ = writeln!(text, "  {} times, first in trial {}: {}", reason.count, reason.trial, reason.text);
     }
     if summary.reasons.len() > SHOWN {
-        let _ = writeln!(text, "  and {} other reasons: column reason", summary.reasons.len() - SHOWN);
+        let _ = writeln!(text, "  and {} other reasons: see the column reason", summary.reasons.len() - SHOWN);
     }
 }
 
@@ -156,7 +156,7 @@ fn convergence_text(text: &mut String, group: &GroupSummary) {
     };
     let _ = writeln!(
         text,
-        "\nThe mean RMS of {} is uncertain by {:.1} % (95 %): some {} further trials bring that to {} %.",
+        "\nThe mean RMS of {} is uncertain by {:.1} % (95 %): about {} further trials reduce that to {} %.",
         mode.mode.title(),
         1e2 * most.reached,
         most.more(),
@@ -188,7 +188,7 @@ fn consistency_text(text: &mut String, group: &GroupSummary) {
         if let Some(squared) = &mode.squared_over_bound {
             let _ = write!(
                 text,
-                "; squared error over the bound at the truth {} a parameter",
+                "; squared error over the bound at the truth {} per parameter",
                 with_half(squared.mean, squared.half_width, 1.0)
             );
         }
@@ -290,7 +290,7 @@ fn sweep_text(text: &mut String, summary: &CampaignSummary, groups: &[GroupSumma
             "failed",
             "RMS 3-D",
             "5 % .. 95 %",
-            "beside the first row",
+            "minus the first row",
             if summary.tolerance.is_some() { "  RMS within the tolerance" } else { "" }
         );
         for group in groups {
@@ -308,7 +308,8 @@ fn sweep_text(text: &mut String, summary: &CampaignSummary, groups: &[GroupSumma
         summary.tolerance.map_or_else(String::new, |t| format!("; the tolerance is {} mm", in_mm(t)));
     let _ = writeln!(
         text,
-        "\nAll combinations have the same draws: \"beside the first row\" is the mean of differences of single trials{tolerance}."
+        "\nAll combinations have the same draws: \"minus the first row\" is the mean of differences of single \
+         trials{tolerance}."
     );
 }
 
@@ -370,7 +371,7 @@ fn sensitivity_text(text: &mut String, summary: &CampaignSummary) {
             let _ = writeln!(text, "{name:<30} {:>22} {:>22} {:>22}", cells[0], cells[1], cells[2]);
         }
         if sensitivity.left_out > 0 {
-            let _ = writeln!(text, "left out, since trials failed: {}", sensitivity.left_out);
+            let _ = writeln!(text, "left out, because trials failed: {}", sensitivity.left_out);
         }
     }
 }

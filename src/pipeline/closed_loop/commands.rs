@@ -133,7 +133,7 @@ fn far(estimate: &Estimate, point: &CompensatedPoint) -> Option<String> {
         JointKind::Prismatic => format!("{:.0} mm", 1e3 * way),
         JointKind::Revolute => format!("{:.1} deg", way.to_degrees()),
     };
-    Some(format!("to meet all of the goal, {} would move by {way}: the pose is nearly singular", link.name))
+    Some(format!("to meet the whole goal, {} would move by {way}: the pose is nearly singular", link.name))
 }
 
 /// A correction and where it leaves the travel, or why nothing meets the goal.

@@ -14,8 +14,8 @@ pub(super) use self::reach::within;
 use super::machine::AnalyticMachine;
 use super::simulate::settle_options;
 use super::{
-    CalibrateError, InputSummary, PipelineError, PlantKind, SetKind, SetOutcome, calibrate, input_of, measure_session,
-    without_drift,
+    CalibrateError, InputSummary, PipelineError, PlantKind, SetKind, SetOutcome, calibrate, input_of,
+    measure_session, without_drift,
 };
 use crate::scenario::Scenario;
 use calibrig_estimation::evaluation::iso9283::{
@@ -274,7 +274,8 @@ pub fn iso9283_of_scenario(
     sets.push(cycles);
     let mut steady = without_drift(sets)?.sets;
     let cycles = steady.pop().map(|set| set.measurements).unwrap_or_default();
-    let (registration, modes) = calibrate(model, &steady, &scenario.modes, &scenario.options)?;
+    let (registration, modes) =
+        calibrate(model, &steady, &scenario.modes, &scenario.options).map_err(PipelineError::from)?;
     let set = &cycles;
     let mut remarks = Vec::new();
     let mut against = Vec::new();
@@ -413,7 +414,8 @@ pub fn iso9283_of_set(
         }
     } else {
         facts.remarks.push(format!(
-            "no accuracy by nests: nothing is stated of the offset of target {} on the flange ([target] of the robot's file, or --session)",
+            "no accuracy by nests: the offset of target {} on the flange is not stated ([target] of the robot's file, or \
+             --session)",
             unknown.join(", ")
         ));
     }
@@ -434,7 +436,7 @@ fn by_nests(model: &CalibrationModel, set: &MeasurementSet) -> Result<Against, S
     let stations: Result<Vec<_>, RegistrationError> = set.stations.iter().map(register).collect();
     let stations = stations.map_err(|why| match why {
         RegistrationError::TooFewNests { found: 0 } => {
-            "no accuracy by nests: no base nests were measured, so that nothing ties the tracker to the base (--session)".to_owned()
+            "no accuracy by nests: no base nests were measured, so nothing ties the tracker to the base (--session)".to_owned()
         }
         why => format!("no accuracy by nests: {why}"),
     })?;
@@ -469,7 +471,8 @@ fn by_best_fit(model: &CalibrationModel, set: &MeasurementSet) -> Result<Against
     let coordinates = 3 * set.same_commands().len();
     if coordinates < COORDINATES_PER_NUMBER * fitted {
         return Err(format!(
-            "no accuracy by a best fit: it would fit {fitted} numbers to the {coordinates} coordinates of these poses, and take most of the errors into itself"
+            "no accuracy by a best fit: it would fit {fitted} numbers to the {coordinates} coordinates of these poses, and \
+             absorb most of the errors"
         ));
     }
     let robot = without_calibration(model, set, Loss::Squared)
@@ -563,18 +566,19 @@ fn remarks_on(target: &str, poses: &[TestPose], once: usize) -> Vec<String> {
     let mut remarks = Vec::new();
     if poses.len() != ISO_POSES {
         remarks.push(format!(
-            "target {target}: {} poses, the standard asks for {ISO_POSES} in a plane of the cube",
+            "target {target}: {} poses, but the standard asks for {ISO_POSES} in a plane of the cube",
             poses.len()
         ));
     }
     if once > 0 {
-        remarks.push(format!("target {target}: {once} poses that were measured once are left out"));
+        remarks.push(format!("target {target}: {once} poses that were measured only once are left out"));
     }
     let mixed: Vec<_> =
         poses.iter().filter(|pose| pose.mixed_approach).map(|pose| pose.pose.to_string()).collect();
     if !mixed.is_empty() {
         remarks.push(format!(
-            "target {target}: poses {} are approached from different sides, the standard's from one: play of the drives is in their scatter",
+            "target {target}: poses {} are approached from different sides, but the standard asks for one: play of the drives \
+             adds to their scatter",
             mixed.join(", ")
         ));
     }

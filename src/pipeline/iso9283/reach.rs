@@ -15,7 +15,8 @@ use calibrig_plant::experiment::WorkingRegion;
 pub enum ReachError {
     /// A pose is out of the working region.
     #[error(
-        "{name} of the cube of {edge_mm:.0} mm, at ({}) m in the base frame, is out of the working region: the nearest that was found is {off_mm:.1} mm away",
+        "{name} of the cube of {edge_mm:.0} mm, at ({}) m in the base frame, is outside the working region: the nearest point \
+         found is {off_mm:.1} mm away",
         place.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ")
     )]
     Pose {
@@ -29,7 +30,7 @@ pub enum ReachError {
         off_mm: f64,
     },
     /// Not even a small cube lies in the region.
-    #[error("no cube of {least_mm:.0} mm or more about ({}) m in the base frame lies in the working region",
+    #[error("no cube of {least_mm:.0} mm or more about ({}) m in the base frame fits in the working region",
         centre.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", "))]
     NoCube {
         /// Its middle in the base frame, m.
@@ -193,7 +194,7 @@ mod tests {
         let told = reach.poses(&larger).expect_err("out of the region").to_string();
         assert!(
             told.starts_with('P')
-                && told.contains("is out of the working region: the nearest that was found is"),
+                && told.contains("is outside the working region: the nearest point found is"),
             "{told}"
         );
     }

@@ -144,11 +144,11 @@ fn every_mistake_is_named() {
         (drawn("lengths_mm = -1"), "lengths_mm is -1", "zero or more"),
         (drawn("compliance_fraction = 0.3"), "compliance_fraction is 0.3", "at most 0.2"),
         (drawn("mass_fraction = nan"), "mass_fraction is nan", "finite"),
-        (drawn("parameters = \"some\""), "\"some\" is no choice", "neighbour_axis_rules"),
+        (drawn("parameters = \"some\""), "\"some\" is not a valid choice", "neighbour_axis_rules"),
         (drawn("parameters = [\"delta_a9\"]"), "\"delta_a9\" is not a link parameter", "from 1 to 7"),
-        (drawn("compliances = \"some\""), "\"some\" is no choice", "\"drives\", or a list"),
+        (drawn("compliances = \"some\""), "\"some\" is not a valid choice", "\"drives\", or a list"),
         (drawn("compliances = [\"mass3\"]"), "\"mass3\" is not a compliance", "\"compliance_rod\""),
-        (drawn("linkage_mm = 120"), "can have no length", "less"),
+        (drawn("linkage_mm = 120"), "could have length zero", "less"),
         (drawn("linkage_mm = 80"), "as_built.drawn: with linkage_mm", "elbow's limits"),
     ] {
         match paper_with(&sections) {

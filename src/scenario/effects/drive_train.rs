@@ -23,7 +23,7 @@ impl Reader<'_> {
             let waves = &entry.get_ref().wave;
             if waves.is_empty() {
                 let message = format!("joint \"{}\" has no wave", entry.get_ref().joint.get_ref());
-                return Err(self.refuse(entry.span(), message, "wave = [{ ... }] with one wave at least"));
+                return Err(self.refuse(entry.span(), message, "wave = [{ ... }] with at least one wave"));
             }
             waves.iter().map(|wave| self.wave(joint, entry, wave)).collect()
         };
@@ -88,7 +88,7 @@ impl Reader<'_> {
         Err(self.refuse(
             place.span(),
             message,
-            "[[effects.harmonics.joint]] for it, or one that grows with the load",
+            "[[effects.harmonics.joint]] for it, or a wave that grows with the load",
         ))
     }
 
@@ -107,10 +107,10 @@ impl Reader<'_> {
             let closes_at = self.required(joint, entry.span(), &closing(file), Numbers::NotNegative)?;
             if !(closes_at > 0.0 && closes_at >= friction) {
                 let message = format!(
-                    "the gap of joint \"{}\" closes under {closes_at}, with a friction of {friction}",
+                    "the gap of joint \"{}\" closes under {closes_at}, but its friction is {friction}",
                     file.joint.get_ref()
                 );
-                let expected = "a load above zero that is not below the friction";
+                let expected = "a load above zero and at least as large as the friction";
                 return Err(self.refuse(closing_place(entry), message, expected));
             }
             Ok([gap, friction, closes_at])
@@ -144,8 +144,8 @@ impl Reader<'_> {
             let (factors, ends) = (&file.stiffness_percent, limits.get_ref());
             if factors.len() < 2 || ends.len() + 1 != factors.len() {
                 let (factors, ends) = (factors.len(), ends.len());
-                let message = format!("{factors} values of stiffness_percent beside {ends} of {own}");
-                let expected = "at least two stiffnesses, and one end of a range less";
+                let message = format!("{factors} values of stiffness_percent for {ends} of {own}");
+                let expected = "at least two stiffnesses, and one range end fewer";
                 return Err(self.refuse(limits.span(), message, expected));
             }
             Ok(Some(StiffnessCurve {
@@ -164,7 +164,7 @@ impl Reader<'_> {
         for value in values {
             let number = self.source.positive(key, value)?;
             if number <= before {
-                let message = format!("{key}: {number} behind {before}");
+                let message = format!("{key}: {number} after {before}");
                 return Err(self.refuse(value.span(), message, "each value greater than the one before"));
             }
             before = number;
@@ -202,11 +202,10 @@ pub(in crate::scenario) fn check_loads(
     let entries = file.lost_motion.iter().flat_map(|section| &section.get_ref().joint);
     let entry = entries.into_iter().find(|entry| *entry.get_ref().joint.get_ref() == link.name);
     let message = format!(
-        "the gap of joint \"{}\" closes under {closes_at} {unit}, and all that its drive carries loads it with \
-         {greatest:.1} {unit} at most",
+        "the gap of joint \"{}\" closes under {closes_at} {unit}, but its drive carries at most {greatest:.1} {unit}",
         link.name
     );
     let help =
-        "expected a load that the drive can have, or [[effects.backlash.joint]] of a gap that no load closes";
+        "expected a load that the drive can have; for a gap that no load closes, [[effects.backlash.joint]]";
     Err(source.error(entry.map_or(0..0, closing_place), message, Some(help.to_owned())))
 }

@@ -127,7 +127,7 @@ impl Reader<'_> {
         let Section { enabled, joint: entries } = section.get_ref();
         if entries.is_empty() {
             let message = format!("[effects.{key}] has no entry");
-            let expected = format!("[[effects.{key}.joint]] for one joint at least");
+            let expected = format!("[[effects.{key}.joint]] for at least one joint");
             return Err(self.refuse(section.span(), message, &expected));
         }
         let mut seen = vec![false; self.chain().joint_count()];
@@ -236,7 +236,7 @@ impl Reader<'_> {
             Some(_) => {
                 let given = file.motor_turns_per_rev.as_ref().or(file.motor_turns_per_m.as_ref());
                 let place = given.map_or(entry.span(), Spanned::span);
-                let message = format!("zero is not how often the motor of \"{name}\" turns");
+                let message = format!("the motor of \"{name}\" is stated to turn zero times");
                 return Err(self.refuse(place, message, expected));
             }
             None => {}
@@ -244,7 +244,7 @@ impl Reader<'_> {
         let nominal = self.robot.model.motor_turns.get(joint).copied().flatten();
         nominal.filter(|turns| *turns > 0.0).ok_or_else(|| {
             let message = format!(
-                "neither this entry nor the robot's file tells how often the motor of \"{name}\" turns"
+                "neither this entry nor the robot's file states how often the motor of \"{name}\" turns"
             );
             self.refuse(entry.span(), message, expected)
         })
@@ -350,7 +350,7 @@ impl Reader<'_> {
         let joint = joint_index(self.source, &file.joint, self.chain())?;
         let link = &self.chain().links[joint];
         if joint != 0 || link.kind != JointKind::Prismatic {
-            let message = format!("effects.rail.joint \"{}\" is no rail that the robot rides on", link.name);
+            let message = format!("effects.rail.joint \"{}\" is not a rail that carries the robot", link.name);
             return Err(self.refuse(file.joint.span(), message, "the first joint, a prismatic one"));
         }
         let gravity = self.robot.model.statics.as_ref().map(|statics| statics.gravity).unwrap_or_default();

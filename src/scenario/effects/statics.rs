@@ -79,7 +79,7 @@ pub(super) fn foundation(
     }
     let rail = file.rail.as_ref().map(|rail| rail_span(reader, rail)).transpose()?;
     if rail.is_none() && stiffness.iter().all(|stiffness| stiffness.is_infinite()) {
-        let message = "[effects.foundation] lets nothing yield".to_owned();
+        let message = "[effects.foundation] has nothing that yields".to_owned();
         return Err(reader.refuse(section.span(), message, "a stiffness_*, or [effects.foundation.rail]"));
     }
     Ok(file.enabled.then_some(Foundation { at, stiffness, rail }))
@@ -91,7 +91,7 @@ fn rail_span(reader: &Reader<'_>, file: &RailSpanFile) -> Result<RailSpan, Input
     let link = &reader.chain().links[joint];
     if joint != 0 || link.kind != JointKind::Prismatic {
         let message =
-            format!("effects.foundation.rail.joint \"{}\" is no rail that the robot rides on", link.name);
+            format!("effects.foundation.rail.joint \"{}\" is not a rail that carries the robot", link.name);
         return Err(reader.refuse(file.joint.span(), message, "the first joint, a prismatic one"));
     }
     let sag = |key: &str, value: &Option<Spanned<f64>>| -> Result<f64, InputError> {
@@ -129,7 +129,7 @@ pub(super) fn hoses(
     let file = section.get_ref();
     if file.hose.is_empty() {
         let message = "[effects.hoses] has no hose".to_owned();
-        return Err(reader.refuse(section.span(), message, "[[effects.hoses.hose]] for one hose at least"));
+        return Err(reader.refuse(section.span(), message, "[[effects.hoses.hose]] for at least one hose"));
     }
     let hoses = file.hose.iter().map(|hose| self::hose(reader, hose)).collect::<Result<_, _>>()?;
     Ok(file.enabled.then_some(Hoses { hoses }))
@@ -139,7 +139,7 @@ fn hose(reader: &Reader<'_>, entry: &Spanned<HoseFile>) -> Result<Hose, InputErr
     let file = entry.get_ref();
     let ends = [anchor(reader, &file.from)?, anchor(reader, &file.to)?];
     if ends[0].link == ends[1].link {
-        let message = "a hose between two points of one link changes nothing".to_owned();
+        let message = "a hose between two points of one link has no effect".to_owned();
         return Err(reader.refuse(
             entry.span(),
             message,

@@ -44,7 +44,7 @@ pub(in crate::scenario) fn check_air(
     let (Some(thermal), Some(table)) = (&effects.thermal, &file.thermal) else { return Ok(()) };
     thermal.check_session(scenario.session().duration()).map_err(|error| {
         let [least, most] = AMBIENT_RANGE;
-        let help = format!("expected air of {least} to {most} degC throughout the session, or a shorter one");
+        let help = format!("expected air of {least} to {most} degC throughout the session, or a shorter session");
         source.error(table.get_ref().air().span(), format!("effects.{error}"), Some(help))
     })
 }
@@ -99,7 +99,7 @@ pub(super) fn thermal(
         growths.push(rod_growth(reader, rod)?);
     }
     if growths.is_empty() {
-        let message = "[effects.thermal] lets nothing grow".to_owned();
+        let message = "[effects.thermal] has nothing that grows".to_owned();
         return Err(reader.refuse(
             section.span(),
             message,
@@ -132,7 +132,7 @@ fn ambient(reader: &Reader<'_>, file: &ThermalFile) -> Result<Ambient, InputErro
         (None, None) => 1.0,
         (None, Some(swing)) => {
             let message = "effects.thermal.swing_c without its period".to_owned();
-            return Err(reader.refuse(swing.span(), message, "swing_period_s beside it"));
+            return Err(reader.refuse(swing.span(), message, "swing_period_s with it"));
         }
     };
     let drift = match &file.drift_c_per_h {
@@ -179,13 +179,13 @@ fn growth(reader: &Reader<'_>, entry: &Spanned<GrowthFile>) -> Result<Growth, In
         (with_travel, reader.chain().links[joint].kind, &file.with_travel)
     {
         let message = format!("with_travel of joint \"{}\", which is revolute", file.joint.get_ref());
-        return Err(reader.refuse(travels.span(), message, "it on a prismatic joint alone"));
+        return Err(reader.refuse(travels.span(), message, "with_travel only for a prismatic joint"));
     }
     let length = 1e-3 * reader.source.finite("length_mm", &file.length_mm)?;
     let (expansion, lag) = expansion(reader, &file.expansion_ppm_per_k, &file.lag_s)?;
     let heat = file.heat.as_ref().map(|table| heat(reader, table)).transpose()?;
     if heat.is_some() && lag == 0.0 {
-        let message = format!("lag_s of joint \"{}\" is 0, and its part is heated", file.joint.get_ref());
+        let message = format!("lag_s of joint \"{}\" is 0, but its part is heated", file.joint.get_ref());
         return Err(reader.refuse(
             file.lag_s.span(),
             message,
@@ -215,7 +215,7 @@ fn heat(reader: &Reader<'_>, table: &Spanned<HeatFile>) -> Result<DriveHeat, Inp
     let per_motion = per_unit * reader.optional(actuator, &motion, Numbers::NotNegative)?.unwrap_or(0.0);
     let resistance = reader.source.positive("heat.resistance_k_per_w", &file.resistance_k_per_w)?;
     if power == 0.0 && per_motion == 0.0 {
-        let message = format!("the drive of joint \"{}\" heats nothing", file.joint.get_ref());
+        let message = format!("the drive of joint \"{}\" produces no heat", file.joint.get_ref());
         return Err(reader.refuse(table.span(), message, "power_w, motion_j_per_m or motion_j_per_rev"));
     }
     let rise = power * resistance;

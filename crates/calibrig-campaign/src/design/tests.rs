@@ -184,8 +184,8 @@ fn impossible_designs_are_refused_and_have_no_points() {
         assert_eq!((design.point(1, 0), design.step(1, 1)), (None, None));
     };
     refused(plain(0, 1, Sampling::Random), "the number of trials is 0; there must be at least one");
-    refused(plain(1 << 33, 1, Sampling::Random), "the study has 8589934592 draws; 4294967296 are the most");
-    refused(plain(1, 257, Sampling::Sobol), "257 factors vary; 256 are the most in this design");
+    refused(plain(1 << 33, 1, Sampling::Random), "the study has 8589934592 draws; at most 4294967296 are possible");
+    refused(plain(1, 257, Sampling::Sobol), "257 factors vary; this design takes at most 256");
     let sweep = |levels: &[usize], repeats| Design::Sweep { levels: levels.to_vec(), repeats };
     refused(sweep(&[2, 0], 3), "the number of levels of a factor is 0; there must be at least one");
     refused(sweep(&[2], 0), "the number of repeats is 0; there must be at least one");
@@ -195,15 +195,15 @@ fn impossible_designs_are_refused_and_have_no_points() {
     let indices = |base, factors, draws| Design::Indices { base, factors, draws, sampling: Sampling::Sobol };
     refused(indices(0, 2, true), "the number of rows of the base is 0; there must be at least one");
     refused(indices(9, 0, true), "the number of factors is 0; there must be at least one");
-    refused(indices(9, 129, true), "129 factors vary; 128 are the most in this design");
-    refused(indices(1 << 32, 2, true), "the study has 8589934592 draws; 4294967296 are the most");
+    refused(indices(9, 129, true), "129 factors vary; this design takes at most 128");
+    refused(indices(1 << 32, 2, true), "the study has 8589934592 draws; at most 4294967296 are possible");
     assert_eq!(indices(1 << 31, 2, true).check(), Ok(()));
     let screening = |trajectories, factors, levels| Design::Screening { trajectories, factors, levels };
     refused(
         screening(3, 2, 1 << 17),
-        "a screening has 131072 levels; it must be an even number up to 65536, such as 4",
+        "a screening has 131072 levels; it needs an even number of at most 65536, such as 4",
     );
-    refused(screening(3, 2, 5), "a screening has 5 levels; it must be an even number up to 65536, such as 4");
+    refused(screening(3, 2, 5), "a screening has 5 levels; it needs an even number of at most 65536, such as 4");
     refused(screening(3, 2, 0), "the number of levels is 0; there must be at least one");
     refused(screening(0, 2, 4), "the number of trajectories is 0; there must be at least one");
     refused(screening(3, 0, 4), "the number of factors is 0; there must be at least one");

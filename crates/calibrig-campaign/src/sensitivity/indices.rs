@@ -4,17 +4,17 @@ use serde::Serialize;
 
 use crate::statistics::{Estimate, Interval, student};
 
-/// What a factor does to an output.
+/// The effect of a factor on an output.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct SobolIndices {
-    /// The share of the output's variance that is gone, in the mean, once the factor is known: what it does alone.
+    /// The share of the output's variance that vanishes, on average, once the factor is known: its effect alone.
     pub first: Estimate,
-    /// The share that is left, in the mean, once all others are known: what it does alone and together with others.
+    /// The share that remains, on average, once all others are known: its effect alone and together with others.
     pub total: Estimate,
 }
 
-/// Quantities of a row whose means the indices of a factor are functions of: the mean of A and B, the mean of their squares, the difference d that
-/// the factor makes to A, B d, d². Outputs are taken from the first one on, so that sums of squares do not lose their digits.
+/// Quantities of a row of whose means the indices of a factor are functions: the mean of A and B, the mean of their squares, the difference d that
+/// the factor makes to A, B d, d². Outputs are counted from the first one, so that sums of squares keep their digits.
 const QUANTITIES: usize = 5;
 
 /// Sums over the rows of an [`Indices`](crate::design::Design::Indices) design.
@@ -30,18 +30,18 @@ const QUANTITIES: usize = 5;
 /// covariance, and the half width is Student's t with N - 1 degrees of freedom times its root; for the total index it is that of its logarithm, which is
 /// less skew. A first-order index is not cut off at 0 or 1, and neither is its interval.
 ///
-/// They hold in the limit of many rows. Measured on the Ishigami function, Sobol's g function and one with draws, 1000 studies each, the share of 95 %
-/// intervals that hold the closed form is, for the index that fares worst: for independent points 86 % with 25 rows, 91 % with 50, 92 % with 100, 93 % from
-/// 200 on; for [Sobol points](crate::design::Sampling::Sobol) 74 % with 25 rows, 90 % with 50 and 64, and from 100 on 88 to 93 %, though 99 to 100 % for most:
-/// there intervals are conservative for factors that matter, as they count as scatter what the points leave none of, and not always for one that
-/// makes next to nothing of the variance. Take 200 rows or more, with Sobol points 256.
+/// They hold in the limit of many rows. Measured on the Ishigami function, Sobol's g function and one with draws, 1000 studies each, the share of 95
+/// % intervals that contain the closed form is, for the worst index: for independent points 86 % with 25 rows, 91 % with 50, 92 % with 100, 93 % from
+/// 200 on; for [Sobol points](crate::design::Sampling::Sobol) 74 % with 25 rows, 90 % with 50 and 64, and from 100 on 88 to 93 %, though 99 to 100 %
+/// for most. With Sobol points, intervals are conservative for factors that matter, because they count scatter that the points have removed, but not
+/// always for a factor with hardly any share of the variance. Take 200 rows or more, with Sobol points 256.
 ///
 /// Source: A. W. van der Vaart, "Asymptotic Statistics" (1998), chapter 3; for indices A. Janon et al., "Asymptotic normality and efficiency of two Sobol
 /// index estimators", ESAIM: Probability and Statistics 18 (2014), 342-364.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SobolSums {
     factors: usize,
-    /// Outputs of the row that is not whole yet.
+    /// Outputs of the row that is not complete yet.
     row: Vec<f64>,
     rows: u64,
     left_out: u64,
@@ -51,13 +51,13 @@ pub struct SobolSums {
 }
 
 impl SobolSums {
-    /// Without rows, for so many factors, the draws included where they are one: [`Design::factors`](crate::design::Design::factors).
+    /// Without rows, for so many factors, including the draws if they are one: [`Design::factors`](crate::design::Design::factors).
     pub fn new(factors: usize) -> Self {
         let sums = vec![Comoments::default(); factors];
         Self { factors, row: Vec::new(), rows: 0, left_out: 0, origin: None, sums }
     }
 
-    /// Takes in the output of the next trial of the design; what is absent or not finite is that of a trial that failed, and leaves out its whole row.
+    /// Takes in the output of the next trial of the design; an absent or non-finite one is that of a failed trial, and leaves out its whole row.
     pub fn add(&mut self, output: impl Into<Option<f64>>) {
         self.row.push(output.into().unwrap_or(f64::NAN));
         if self.row.len() == self.factors + 2 {
@@ -93,7 +93,7 @@ impl SobolSums {
         self.left_out
     }
 
-    /// Factor by factor, with intervals of confidence `level`; `None` from fewer than two rows and where the output does not vary.
+    /// Factor by factor, with intervals of confidence `level`; `None` for fewer than two rows, and if the output does not vary.
     pub fn indices(&self, level: f64) -> Option<Vec<SobolIndices>> {
         let dof = self.rows.checked_sub(2)? as f64 + 1.0;
         let t = student(level, dof);
@@ -127,7 +127,7 @@ impl Comoments {
     fn squares(&self, gradient: [f64; QUANTITIES]) -> f64 {
         let along = |row: &[f64; QUANTITIES]| row.iter().zip(gradient).map(|(p, g)| p * g).sum::<f64>();
         let squares = self.products.iter().zip(gradient).map(|(row, g)| g * along(row)).sum::<f64>();
-        // Rounding can make it negative where nothing scatters.
+        // Rounding can make it negative if nothing scatters.
         squares.max(0.0)
     }
 
@@ -149,7 +149,7 @@ impl Comoments {
     }
 }
 
-/// Of a value that is not below zero and whose error is skew: as far on either side of its logarithm as the half width is of the value.
+/// For a non-negative value whose error is skew: as far on either side of its logarithm as the half width relative to the value.
 fn around_logarithm(value: f64, half: f64) -> Interval {
     let factor = if half > 0.0 { (half / value).exp() } else { 1.0 };
     Interval { low: value / factor, high: value * factor }

@@ -1,4 +1,4 @@
-//! Which factors an output depends on, from the outputs of a design in its order. Sums stream: what is held does not grow with the trials, and the same
+//! Which factors an output depends on, from the outputs of a design in its order. Sums stream: memory does not grow with the trials, and the same
 //! outputs in the same order give the same bits.
 
 mod indices;

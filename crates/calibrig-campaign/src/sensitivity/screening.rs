@@ -5,18 +5,18 @@ use serde::Serialize;
 use crate::design::Step;
 use crate::statistics::{Estimate, Moments};
 
-/// What a factor does to an output when it alone moves by half of its range, over the range: the output's slope across the factor's distribution.
+/// The effect of a factor on an output when it alone moves by half of its range, per range: the output's slope across the factor's distribution.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ElementaryEffects {
     /// How many were taken in.
     pub count: u64,
     /// How many were left out because a trial failed.
     pub left_out: u64,
-    /// The mean, mu: effects of either sign cancel. `None` without effects.
+    /// The mean, mu: effects of opposite sign cancel. `None` without effects.
     pub mean: Option<Estimate>,
     /// The mean of the absolute effects, mu*: how much the factor matters. `None` without effects.
     pub mean_absolute: Option<Estimate>,
-    /// The standard deviation, sigma: large where the factor acts nonlinearly or together with others. `None` from one effect.
+    /// The standard deviation, sigma: large if the factor acts nonlinearly or together with others. `None` for one effect.
     pub deviation: Option<Estimate>,
 }
 
@@ -42,7 +42,7 @@ pub struct ElementaryEffects {
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct MorrisSums {
-    /// The output of the trial before; not a number where it failed.
+    /// The output of the trial before; NaN if it failed.
     before: f64,
     /// Of the effects and of the absolute effects.
     effects: Vec<[Moments; 2]>,
@@ -54,8 +54,8 @@ impl MorrisSums {
         Self { before: f64::NAN, effects: vec![[Moments::default(); 2]; factors] }
     }
 
-    /// Takes in the output of the next trial of the design with [what it changed](crate::design::Design::step); what is absent or not finite is that of a trial that
-    /// failed, and leaves out the effects before and after it.
+    /// Takes in the output of the next trial of the design with [what it changed](crate::design::Design::step); an absent or non-finite one is that
+    /// of a failed trial, and leaves out the effects before and after it.
     pub fn add(&mut self, step: Option<Step>, output: impl Into<Option<f64>>) {
         let output = output.into().unwrap_or(f64::NAN);
         if let Some((step, [effects, absolute])) =

@@ -14,13 +14,13 @@ use crate::table::{Table, TableReader};
 #[non_exhaustive]
 pub enum Fault {
     /// Its name is not that of a shard of this campaign.
-    #[error("{}: not the name of a shard of this campaign", file.display())]
+    #[error("{}: its name is not that of a shard of this campaign", file.display())]
     Name {
         /// Which.
         file: PathBuf,
     },
-    /// Its bytes are not the ones that its name tells of.
-    #[error("{}: cut short or altered: its bytes do not have the sum that stands in its name", file.display())]
+    /// Its bytes do not match the checksum in its name.
+    #[error("{}: cut short or altered: its bytes do not match the checksum in its name", file.display())]
     Damaged {
         /// Which.
         file: PathBuf,
@@ -38,12 +38,13 @@ pub enum Fault {
     Foreign {
         /// Which.
         file: PathBuf,
-        /// What is otherwise.
+        /// The difference.
         difference: String,
     },
     /// Two sound files of one shard have different rows.
     #[error(
-        "{} and {}: both are sound, and they differ: machines whose processors round otherwise do not mix; keep those of one kind",
+        "{} and {}: both are sound, but they differ: their processors round differently. Keep the shards of one kind of \
+         machine and run the others again on it",
         file.display(),
         other.display()
     )]
@@ -53,22 +54,22 @@ pub enum Fault {
         /// The other.
         other: PathBuf,
     },
-    /// It is of this campaign, shared out otherwise: its trials are in other shards, too.
-    #[error("{}: it holds trials {first}..{end}, which overlap shards of this campaign's {shards}", file.display())]
+    /// It is of this campaign, but divided differently: its trials are in other shards, too.
+    #[error("{}: its trials {first}..{end} overlap the shards of this campaign, which has {shards}", file.display())]
     Overlap {
         /// Which.
         file: PathBuf,
         /// Its first trial.
         first: u64,
-        /// The one behind its last.
+        /// One past its last trial.
         end: u64,
-        /// Into how many the campaign is shared out.
+        /// Into how many shards the campaign is divided.
         shards: u32,
     },
 }
 
 impl Fault {
-    /// Whether computing the shard again mends it.
+    /// Whether running the shard again repairs it.
     pub fn is_mended_by_computing(&self) -> bool {
         matches!(self, Self::Damaged { .. } | Self::Unreadable { .. })
     }
@@ -80,7 +81,7 @@ pub struct Inventory {
     pub(super) sound: BTreeMap<u32, Piece>,
     /// What is wrong, by name.
     pub faults: Vec<Fault>,
-    /// Numbers of the shards that are not there, or not sound.
+    /// Numbers of the shards that are missing or damaged.
     pub missing: Vec<u32>,
 }
 
@@ -90,7 +91,7 @@ impl Inventory {
         self.sound.len()
     }
 
-    /// The missing ones in the form in which schedulers take the numbers of an array: `0-2,5`.
+    /// The missing ones, in the form that schedulers take as array numbers: `0-2,5`.
     pub fn array(&self) -> String {
         let mut runs: Vec<(u32, u32)> = Vec::new();
         for &shard in &self.missing {
@@ -107,7 +108,7 @@ impl Inventory {
 }
 
 impl Folder {
-    /// Looks at every file among the shards. `progress` is told how many.
+    /// Checks every file among the shards. `progress` receives their number.
     pub fn inventory(&self, progress: &mut dyn FnMut(u64)) -> Inventory {
         let mut sound = BTreeMap::new();
         let mut faults = Vec::new();
@@ -152,7 +153,7 @@ impl Folder {
         let (Ok(shard), Ok(shards)) = (shard.parse::<u32>(), shards.parse::<u32>()) else {
             return Err(Fault::Name { file });
         };
-        // What is of another campaign or split is not mended by computing, damaged or not.
+        // A shard of another campaign or division cannot be repaired by running it, whether damaged or not.
         let is_ours = campaign == self.campaign() && shards == self.manifest.shards && shard < shards;
         if !is_whole(&file) {
             return Err(if is_ours { Fault::Damaged { file } } else { Fault::Name { file } });
@@ -164,7 +165,7 @@ impl Folder {
         let Some(about) = about_of(&table) else {
             return Err(Fault::Unreadable {
                 file,
-                reason: "it does not say of which campaign it is".to_owned(),
+                reason: "it does not say which campaign it belongs to".to_owned(),
             });
         };
         let own = self.about(about.range());
@@ -175,7 +176,7 @@ impl Folder {
                     format!("version {} instead of {}", about.version, own.version)
                 }
                 () if about.seed != own.seed => format!("seed {} instead of {}", about.seed, own.seed),
-                () => "its scenario, its trials or the program differ".to_owned(),
+                () => "its scenario, its trials or the program that wrote it differ".to_owned(),
             };
             return Err(Fault::Foreign { file, difference });
         }
@@ -184,7 +185,7 @@ impl Folder {
         if !whole {
             return Err(Fault::Unreadable {
                 file,
-                reason: "it does not hold the rows that it says".to_owned(),
+                reason: "it does not hold the rows that its header states".to_owned(),
             });
         }
         if shards != self.manifest.shards || about.range() != self.manifest.range_of(shard) {
@@ -194,7 +195,7 @@ impl Folder {
         Ok((shard, Piece { path: file, range: about.range() }))
     }
 
-    /// Makes the whole table of sound shards, which must be all: the bytes that one machine alone would have made. `progress` is told the number of rows.
+    /// Makes the whole table from sound shards, which must be complete: the same bytes as from one machine. `progress` receives the number of rows.
     pub fn merge(&self, inventory: &Inventory, progress: &mut dyn FnMut(u64)) -> Result<(), FolderError> {
         if let Some(shard) = inventory.missing.first() {
             let range = self.manifest.range_of(*shard);
@@ -206,7 +207,7 @@ impl Folder {
     }
 }
 
-/// Not a file that is still being written, nor what stands beside the shards.
+/// Not a file that is still being written, nor one next to the shards.
 fn is_shard(path: &std::path::Path) -> bool {
     let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
     let is_table = path.extension().is_some_and(|extension| extension == "parquet");

@@ -1,4 +1,4 @@
-//! What fixes a campaign.
+//! What determines a campaign.
 
 use std::ops::Range;
 
@@ -10,7 +10,7 @@ use crate::table::{Column, hexadecimal};
 /// The schema of a manifest.
 const SCHEMA: &str = "calibrig.manifest/1";
 
-/// Which program computes the trials: another one may round otherwise.
+/// Which program computes the trials: another one may round differently.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Software {
     /// Of the package.
@@ -30,7 +30,7 @@ pub struct Input {
     pub sha256: String,
 }
 
-/// What fixes a campaign: trial n is a function of this and n.
+/// What determines a campaign: trial n is a function of this and n.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Manifest {
@@ -38,9 +38,9 @@ pub struct Manifest {
     pub schema: String,
     /// Name for people.
     pub name: String,
-    /// The scenario's file as it was named, for people; it may lie elsewhere on another machine.
+    /// The scenario's file as it was named, for people; on another machine it may be elsewhere.
     pub scenario: String,
-    /// Who computes.
+    /// The program.
     pub software: Software,
     /// All files.
     pub inputs: Vec<Input>,
@@ -52,7 +52,7 @@ pub struct Manifest {
     pub trials: u64,
     /// Parts that machines take.
     pub shards: u32,
-    /// What varies, and all else that the caller fixes.
+    /// What varies, and everything else that the caller fixes.
     pub study: serde_json::Value,
     /// Of the table; the first one is the trial.
     pub columns: Vec<Column>,
@@ -64,7 +64,8 @@ impl Manifest {
         SCHEMA.to_owned()
     }
 
-    /// SHA-256 of all that rows depend on, hexadecimal: the same trials give the same rows however they are shared out, and wherever files lie.
+    /// SHA-256 of everything that rows depend on, hexadecimal: the same trials give the same rows however they are divided, and wherever files
+    /// are.
     pub fn sum(&self) -> String {
         let whole = Self { shards: 0, scenario: String::new(), ..self.clone() };
         // A manifest of plain fields is always JSON.
@@ -77,17 +78,17 @@ impl Manifest {
         self.first..self.first.saturating_add(self.trials)
     }
 
-    /// The trials of a shard; as many as of any other, or one more.
+    /// The trials of a shard: as many as of any other, or one more.
     pub fn range_of(&self, shard: u32) -> Range<u64> {
         let at = |shard: u32| {
             let place = u128::from(self.trials) * u128::from(shard) / u128::from(self.shards.max(1));
-            // Not above `trials`.
+            // At most `trials`.
             self.first.saturating_add(u64::try_from(place).unwrap_or(self.trials))
         };
         at(shard)..at(shard.saturating_add(1))
     }
 
-    /// What `other` has otherwise, in words; `None` where it is the same campaign in the same shards.
+    /// How `other` differs, in words; `None` if it is the same campaign in the same shards.
     pub fn difference(&self, other: &Self) -> Option<String> {
         if (self.sum(), self.shards) == (other.sum(), other.shards) {
             return None;
@@ -105,12 +106,12 @@ impl Manifest {
             return differs("machines", &self.software.target, &other.software.target);
         }
         if self.software != other.software {
-            return Some(format!("another build of version {}", other.software.version));
+            return Some(format!("a different build of version {}", other.software.version));
         }
         for input in &self.inputs {
             match other.inputs.iter().find(|theirs| theirs.role == input.role) {
                 Some(theirs) if theirs == input => {}
-                Some(_) => return Some(format!("another text of the {}", input.role)),
+                Some(_) => return Some(format!("a different text of the {}", input.role)),
                 None => return Some(format!("no {}", input.role)),
             }
         }
@@ -124,6 +125,6 @@ impl Manifest {
         if self.shards != other.shards {
             return differs("shards:", &self.shards, &other.shards);
         }
-        Some(if self.study == other.study { "other columns" } else { "another study" }.to_owned())
+        Some(if self.study == other.study { "different columns" } else { "a different study" }.to_owned())
     }
 }

@@ -1,4 +1,4 @@
-//! A campaign in a folder: its manifest, the shards that machines made of it, and the one table that they make together.
+//! A campaign in a folder: its manifest, the shards that machines made, and the one table that they form.
 //!
 //! ```text
 //! manifest.json                                 what fixes the campaign
@@ -7,9 +7,9 @@
 //! trials.parquet                                all rows
 //! ```
 //!
-//! `<campaign>` is the beginning of the manifest's sum, `<sum>` that of the file's own: a file that was cut short or altered does not have the name
-//! of its bytes any more. A file has its name when it is whole and the disk holds it. Whoever computes a row computes the same row, so that nothing is lost
-//! or counted twice when a machine that was given up finishes late.
+//! `<campaign>` is the beginning of the manifest's checksum, `<sum>` that of the file's own: a file that was cut short or altered no longer matches
+//! its name. A file gets its name when it is complete and on the disk. Any machine computes the same row, so that nothing is lost or counted twice
+//! when a machine that was given up finishes late.
 
 mod inventory;
 mod manifest;
@@ -34,13 +34,13 @@ use crate::table::{
 
 /// More parts than any scheduler takes.
 pub const MOST_SHARDS: u32 = 1_000_000;
-/// Digits of a sum that stand in a file's name.
+/// Digits of a checksum in a file's name.
 const SUM_DIGITS: usize = 16;
 const CAMPAIGN_DIGITS: usize = 12;
-/// Under which a table says what it is of.
+/// Key under which a table states its campaign.
 const ABOUT: &str = "calibrig.campaign";
 
-/// A folder that is not the one for this campaign, or cannot be.
+/// Errors of a campaign's folder.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum FolderError {
@@ -48,12 +48,12 @@ pub enum FolderError {
     #[error(transparent)]
     Table(#[from] TableError),
     /// There is no campaign.
-    #[error("{}: there is no campaign in it (no manifest.json)", path.display())]
+    #[error("{}: no campaign here (no manifest.json)", path.display())]
     NoCampaign {
         /// The folder.
         path: PathBuf,
     },
-    /// The manifest is not one.
+    /// The manifest is invalid.
     #[error("{}: {reason}", path.display())]
     Manifest {
         /// The file.
@@ -62,23 +62,23 @@ pub enum FolderError {
         reason: String,
     },
     /// There is another campaign.
-    #[error("{}: there is another campaign in it: it has {difference}", path.display())]
+    #[error("{}: this folder holds another campaign: it has {difference}", path.display())]
     AnotherCampaign {
         /// The folder.
         path: PathBuf,
-        /// What the one that is there has otherwise.
+        /// The difference of the existing one.
         difference: String,
     },
     /// A shard that the campaign does not have.
-    #[error("shard {shard} of {shards}: the last one is {}", shards.saturating_sub(1))]
+    #[error("shard {shard} of {shards}: the last shard is {}", shards.saturating_sub(1))]
     NoShard {
-        /// Asked for.
+        /// The number asked for.
         shard: u32,
-        /// There are.
+        /// The number of shards.
         shards: u32,
     },
-    /// Rows that are not there.
-    #[error("{}: trials {}..{} are not there", path.display(), range.start, range.end)]
+    /// Missing rows.
+    #[error("{}: trials {}..{} are missing", path.display(), range.start, range.end)]
     Missing {
         /// The folder.
         path: PathBuf,
@@ -87,7 +87,7 @@ pub enum FolderError {
     },
 }
 
-/// What a table says that it is of.
+/// What a table states about its campaign.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 struct About {
     /// Sum of the manifest.
@@ -108,14 +108,14 @@ pub struct Folder {
 }
 
 impl Folder {
-    /// The folder with this campaign: made where it is not there, joined where another process or an earlier run made it.
+    /// The folder with this campaign: created if missing, joined if another process or an earlier run created it.
     pub fn begin(path: &Path, manifest: &Manifest) -> Result<Self, FolderError> {
         fs::create_dir_all(path).map_err(TableError::io(path))?;
         let file = path.join("manifest.json");
         if !file.exists() {
             put_manifest(&file, manifest)?;
         }
-        // Of several who put it there at once, one did.
+        // If several processes created it at once, one succeeded.
         let there = read_manifest(path)?;
         match manifest.difference(&there) {
             None => Ok(Self::of(path, there)),
@@ -153,12 +153,13 @@ impl Folder {
         self.path.join("trials.parquet")
     }
 
-    /// Where the sum of the whole table stands, as `sha256sum -c` reads it.
+    /// File with the checksum of the whole table, as `sha256sum -c` reads it.
     fn table_sum(&self) -> PathBuf {
         self.path.join("trials.parquet.sha256")
     }
 
-    /// Writes the sum of the whole table, then gives the table its name: one whose sum differs is not taken for complete.
+    /// Writes the checksum of the whole table, then gives the table its name: a table whose checksum differs does not
+    /// count as complete.
     fn name_table(&self, staged: StagedTable) -> Result<(), FolderError> {
         let path = self.table_sum();
         let mut file = File::create(&path).map_err(TableError::io(&path))?;
@@ -180,7 +181,7 @@ impl Folder {
         about == Some(self.about(self.manifest.range()))
     }
 
-    /// Whether there is a whole table that was cut short, altered or put there by another.
+    /// Whether there is a whole table that was cut short, altered or put there by another program.
     pub fn has_unsound_table(&self) -> bool {
         self.table().exists() && !self.is_complete()
     }
@@ -221,10 +222,10 @@ impl Folder {
         Ok(table.finish()?)
     }
 
-    /// Removes the parts of a campaign whose table is complete, and what processes that were killed left behind.
+    /// Removes the parts of a campaign whose table is complete, and the leftovers of killed processes.
     fn clear_all(&self) {
         for part in self.part_files() {
-            // What cannot be removed is in nobody's way.
+            // A file that cannot be removed does no harm.
             let _ = fs::remove_file(part.path);
         }
         for folder in [self.path.clone(), self.shards(), self.parts()] {
@@ -238,15 +239,15 @@ impl Folder {
                 let _ = fs::remove_file(path);
             }
         }
-        // It stays where something else is in it.
+        // The folder stays if it contains anything else.
         let _ = fs::remove_dir(self.parts());
     }
 
-    /// Removes the parts of what is complete elsewhere.
+    /// Removes the parts of rows that are complete elsewhere.
     fn clear_parts(&self, done: &Range<u64>) {
         for part in self.part_files() {
             if done.start <= part.range.start && part.range.end <= done.end {
-                // What cannot be removed is in nobody's way.
+                // A file that cannot be removed does no harm.
                 let _ = fs::remove_file(part.path);
             }
         }
@@ -297,7 +298,7 @@ fn read_manifest(folder: &Path) -> Result<Manifest, FolderError> {
     }
     if manifest.shards > MOST_SHARDS || manifest.first.checked_add(manifest.trials).is_none() {
         return Err(refused(format!(
-            "it has more than {MOST_SHARDS} shards, or more trials than can be counted"
+            "it has more than {MOST_SHARDS} shards, or too many trials"
         )));
     }
     Ok(manifest)
@@ -309,7 +310,7 @@ fn about_of(table: &TableReader) -> Option<About> {
 
 /// The beginning of the SHA-256 of a file, as it stands in names.
 fn sum_of(path: &Path) -> io::Result<String> {
-    // Nothing ever comes from a pipe that has a file's name.
+    // A pipe with a file's name never ends.
     if !path.is_file() {
         return Err(io::ErrorKind::InvalidInput.into());
     }

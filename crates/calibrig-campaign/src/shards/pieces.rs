@@ -1,4 +1,4 @@
-//! Rows that are done, in files of some of them, and the table that they make.
+//! Finished rows, in files of some of them, and the table that they form.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ pub(super) struct Piece {
     pub range: Range<u64>,
 }
 
-/// What is done of a range.
+/// The finished part of a range.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Covered {
     pub(super) pieces: Vec<Piece>,
@@ -21,7 +21,7 @@ pub struct Covered {
 }
 
 impl Covered {
-    /// The ranges that nobody did, in order.
+    /// The unfinished ranges, in order.
     pub fn missing(&self) -> Vec<Range<u64>> {
         let mut missing = Vec::new();
         let mut next = self.range.start;
@@ -45,7 +45,7 @@ impl Covered {
 }
 
 impl Folder {
-    /// Rows that will be a part with [`Self::put_part`]. They are pushed in the order of their trials, without holes.
+    /// Rows that become a part with [`Self::put_part`]. They are pushed in the order of their trials, without gaps.
     pub fn begin_part(&self) -> Result<TableWriter, FolderError> {
         self.writer(&self.parts())
     }
@@ -74,12 +74,12 @@ impl Folder {
         pieces
     }
 
-    /// What is done of `range`, by the parts that are whole.
+    /// The finished part of `range`, by its complete parts.
     pub fn covered(&self, range: &Range<u64>) -> Covered {
         let within = |piece: &Piece| piece.range.start < range.end && piece.range.end > range.start;
         let mut pieces: Vec<Piece> = Vec::new();
         for piece in self.part_files().into_iter().filter(within) {
-            // What the ones before hold already tells nothing more.
+            // Rows that earlier parts hold already add nothing.
             let told = pieces.last().is_some_and(|last| last.range.end >= piece.range.end);
             if !told && is_whole(&piece.path) && self.is_of(&piece) {
                 pieces.push(piece);
@@ -110,7 +110,7 @@ impl Folder {
             let mut place = piece.range.start;
             table.for_each_row::<FolderError>(|row| {
                 if row.first() != Some(&Cell::count(place)) {
-                    let reason = format!("row {} is not of trial {place}", place - piece.range.start);
+                    let reason = format!("row {} does not belong to trial {place}", place - piece.range.start);
                     return Err(TableError::Parquet { path: piece.path.clone(), reason }.into());
                 }
                 if place == next && next < range.end {
@@ -128,13 +128,13 @@ impl Folder {
         self.finish(writer, range.clone())
     }
 
-    /// Makes a shard of its parts, and removes them.
+    /// Makes a shard from its parts, and removes them.
     pub fn complete_shard(&self, shard: u32) -> Result<PathBuf, FolderError> {
         let range = self.manifest.range_of(shard);
         let covered = self.covered(&range);
         let staged = match self.assemble(&covered.pieces, &range, &self.shards(), &mut |_| {}) {
             Ok(staged) => staged,
-            // Another process completed it meanwhile, and removed its parts.
+            // Another process has completed it meanwhile, and removed its parts.
             Err(error) => {
                 let found = self.sound_shard(shard).ok_or(error)?;
                 self.clear_parts(&range);
@@ -143,7 +143,7 @@ impl Folder {
         };
         let path = self.shards().join(self.shard_name(shard, short(&staged)));
         staged.name(&path)?;
-        // Those of this number that were cut short or altered are mended; what is not ours stays.
+        // Damaged files of this number are replaced; other files stay.
         for other in self.shard_files(shard).into_iter().filter(|other| *other != path) {
             if self.look_at(&other).is_err_and(|fault| fault.is_mended_by_computing()) {
                 let _ = std::fs::remove_file(other);
@@ -173,14 +173,14 @@ impl Folder {
         entries.map(|entry| entry.path()).filter(ours).collect()
     }
 
-    /// Makes the whole table of the parts of one machine, and removes them.
+    /// Makes the whole table from the parts of one machine, and removes them.
     pub fn complete(&self, progress: &mut dyn FnMut(u64)) -> Result<(), FolderError> {
         let range = self.manifest.range();
         let covered = self.covered(&range);
         self.name_table(self.assemble(&covered.pieces, &range, &self.path, progress)?)
     }
 
-    /// A table of what is done of the campaign so far up to the first hole, which is gone when it is dropped; `None` where nothing is.
+    /// A table of the finished rows of the campaign up to the first gap, removed when it is dropped; `None` if nothing is finished.
     pub fn so_far(&self) -> Result<Option<StagedTable>, FolderError> {
         let range = self.manifest.range();
         let covered = self.covered(&range);
@@ -192,7 +192,7 @@ impl Folder {
     }
 }
 
-/// Whether the file has the bytes that its name tells of.
+/// Whether the file matches the checksum in its name.
 pub(super) fn is_whole(path: &Path) -> bool {
     let told = path.file_stem().and_then(|name| name.to_str()).and_then(|name| name.rsplit('-').next());
     sum_of(path).is_ok_and(|sum| Some(sum.as_str()) == told)

@@ -159,7 +159,7 @@ fn every_fault_is_named_and_mended_by_computing_again() {
     };
     assert!(tells(&cut, "cut short") && tells(&altered, "altered"), "{told:?}");
     assert!(tells(&foreign, "seed 2 instead of 1") && tells(&overlap, "overlap"), "{told:?}");
-    assert!(tells(Path::new("notes.txt"), "not the name of a shard of this campaign"), "{told:?}");
+    assert!(tells(Path::new("notes.txt"), "not that of a shard of this campaign"), "{told:?}");
     assert_eq!(told.len(), 5);
     assert!(matches!(folder.merge(&inventory, &mut |_| {}), Err(FolderError::Missing { .. })));
 
@@ -197,10 +197,10 @@ fn a_folder_holds_one_campaign() {
         (&|m| m.trials = 31, "30 trials from 5 instead of 31 trials from 5"),
         (&|m| m.shards = 7, "shards: 6 instead of 7"),
         (&|m| m.software.version = "9".to_owned(), "software version 0.1.0 instead of 9"),
-        (&|m| m.software.binary_sha256 = "9".to_owned(), "another build of version 0.1.0"),
-        (&|m| m.inputs[0].sha256 = "9".to_owned(), "another text of the scenario"),
-        (&|m| m.study = serde_json::json!({}), "another study"),
-        (&|m| m.columns.truncate(1), "other columns"),
+        (&|m| m.software.binary_sha256 = "9".to_owned(), "a different build of version 0.1.0"),
+        (&|m| m.inputs[0].sha256 = "9".to_owned(), "a different text of the scenario"),
+        (&|m| m.study = serde_json::json!({}), "a different study"),
+        (&|m| m.columns.truncate(1), "different columns"),
     ] {
         let told = changed(change);
         assert!(told.contains(words), "{told}");

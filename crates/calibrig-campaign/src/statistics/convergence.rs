@@ -8,31 +8,32 @@ use super::{Estimate, Moments, Proportion, student};
 /// No study has as many trials.
 const MOST: u64 = 1_000_000_000;
 
-/// How far the trials bring a figure, and how many more would bring it as far as is wanted.
+/// How precisely the trials determine a figure, and how many more are needed for the wanted precision.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Convergence {
-    /// Trials that the figure is known of.
+    /// Trials for which the figure is known.
     pub trials: u64,
     /// Half the width of its interval over the figure itself.
     pub reached: f64,
-    /// What that should be at most.
+    /// Its wanted maximum.
     pub wanted: f64,
-    /// Trials that would do, if further ones are as these: an estimate, with a relative error of about twice that of the standard deviation.
+    /// Sufficient number of trials, if further ones are like these: an estimate, with a relative error of about twice that of the standard
+    /// deviation.
     pub needed: u64,
 }
 
 impl Convergence {
-    /// How many trials there should be on top of those that there are; none where they are enough.
+    /// How many more trials are needed; none if there are enough.
     pub fn more(&self) -> u64 {
         self.needed.saturating_sub(self.trials)
     }
 
-    /// Whether the interval is as narrow as is wanted.
+    /// Whether the interval is as narrow as wanted.
     pub fn is_enough(&self) -> bool {
         self.reached <= self.wanted
     }
 
-    /// Of a figure with an interval; `narrows` says whether so many trials are enough.
+    /// For a figure with an interval; `narrows` says whether a number of trials is enough.
     fn of(trials: u64, estimate: &Estimate, wanted: f64, narrows: impl Fn(u64) -> bool) -> Option<Self> {
         let reached = estimate.interval?.half_width() / estimate.value.abs();
         if !(reached.is_finite() && wanted > 0.0 && trials < MOST) {
@@ -60,8 +61,8 @@ fn search(trials: u64, enough: impl Fn(u64) -> bool) -> Option<u64> {
     Some(high)
 }
 
-/// How many trials bring half the width of a mean's interval of confidence `level` to the share `wanted` of the mean. `None` where no number does: for a
-/// mean of zero, from one trial, above a thousand million.
+/// How many trials bring half the width of a mean's interval of confidence `level` to the share `wanted` of the mean. `None` if no number does: for a
+/// mean of zero, for one trial, above a thousand million.
 pub fn trials_for_mean(moments: &Moments, level: f64, wanted: f64) -> Option<Convergence> {
     let (mean, variance) = (moments.mean()?, moments.variance()?);
     let narrows =
@@ -69,8 +70,8 @@ pub fn trials_for_mean(moments: &Moments, level: f64, wanted: f64) -> Option<Con
     Convergence::of(moments.count(), &moments.mean_interval(level)?, wanted, narrows)
 }
 
-/// How many trials bring half the width of a share's interval of confidence `level` to the share `wanted` of it. `None` where no number does: where it never
-/// happened, above a thousand million.
+/// How many trials bring half the width of a share's interval of confidence `level` to the share `wanted` of it. `None` if no number does: if it
+/// never happened, above a thousand million.
 pub fn trials_for_proportion(proportion: &Proportion, level: f64, wanted: f64) -> Option<Convergence> {
     let estimate = proportion.interval(level)?;
     let narrows = |n: u64| {
@@ -83,8 +84,8 @@ pub fn trials_for_proportion(proportion: &Proportion, level: f64, wanted: f64) -
     Convergence::of(proportion.trials(), &estimate, wanted, narrows)
 }
 
-/// How many trials bring half the width of any other figure's interval to the share `wanted` of the figure, if it falls with the root of their number, as it
-/// does for quantiles, ratios and indices. `None` without interval, for a figure of zero, above a thousand million.
+/// How many trials bring half the width of any other figure's interval to the share `wanted` of the figure, if it falls with the root of their
+/// number, as for quantiles, ratios and indices. `None` without an interval, for a figure of zero, above a thousand million.
 pub fn trials_for(estimate: &Estimate, trials: u64, wanted: f64) -> Option<Convergence> {
     let half = estimate.interval?.half_width();
     let narrows = |n: u64| half * (trials as f64 / n as f64).sqrt() <= wanted * estimate.value.abs();

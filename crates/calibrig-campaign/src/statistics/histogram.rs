@@ -17,7 +17,7 @@ pub struct Histogram {
     skipped: u64,
 }
 
-/// Why there is no such histogram.
+/// Why a histogram is invalid.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[non_exhaustive]
 pub enum HistogramError {
@@ -32,7 +32,7 @@ pub enum HistogramError {
         high: f64,
     },
     /// No bins, or too many.
-    #[error("a histogram has {bins} bins; 1 to {MOST_BINS} are possible")]
+    #[error("a histogram has {bins} bins; it needs 1 to {MOST_BINS}")]
     Bins {
         /// As it was given.
         bins: usize,
@@ -51,7 +51,7 @@ impl Histogram {
         Ok(Self { low, high, counts: vec![0; bins], below: 0, above: 0, skipped: 0 })
     }
 
-    /// Takes in a value; what is absent or not finite is counted as skipped.
+    /// Takes in a value; an absent or non-finite one is counted as skipped.
     pub fn add(&mut self, value: impl Into<Option<f64>>) {
         let Some(value) = value.into().filter(|v| v.is_finite()) else {
             self.skipped += 1;

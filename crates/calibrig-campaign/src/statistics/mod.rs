@@ -1,12 +1,11 @@
-//! What columns of a table say, with its uncertainty. Everything here takes its values one at a time, in their order, and holds a bounded number of
-//! them at any number of trials; the same values in the same order give the same bits. What is not a finite number stands for what is absent: it
-//! is left out and counted.
+//! Statistics of a table's columns, with their uncertainty. All of them take values one at a time, in order, in bounded memory; the same values in
+//! the same order give the same bits. A value that is not finite counts as absent: it is left out and counted.
 //!
-//! Intervals are those of independent trials. Trials of a plain design are. With [Sobol points](crate::design::Sampling::Sobol) they are not: there
-//! the scatter of the factors is counted as if it were random, so that for outputs that vary smoothly with the factors intervals are too wide
-//! rather than too narrow (conservative: of a hundred trials of a sum of two factors the 95 % interval of the mean held it in 1000 of 1000 studies),
-//! and those of outputs that the draws scatter are right (967 of 1000 with six times the variance of noise). Trials of different combinations of a sweep share
-//! their draws: compare them by [`PairedDifference`].
+//! Intervals are those of independent trials. Trials of a plain design are independent. With [Sobol points](crate::design::Sampling::Sobol) they are
+//! not: the scatter of the factors is then counted as if it were random, so that for outputs that vary smoothly with the factors intervals are too
+//! wide rather than too narrow (conservative: of a hundred trials of a sum of two factors the 95 % interval of the mean contained it in 1000 of 1000
+//! studies), and those of outputs that the draws scatter are right (967 of 1000 with six times the variance of noise). Trials of different
+//! combinations of a sweep share their draws: compare them by [`PairedDifference`].
 
 mod convergence;
 mod histogram;
@@ -43,12 +42,12 @@ impl Interval {
         0.5 * (self.high - self.low)
     }
 
-    /// Whether it holds `value`, its ends included.
+    /// Whether it contains `value`, its ends included.
     pub fn contains(&self, value: f64) -> bool {
         self.low <= value && value <= self.high
     }
 
-    /// Of the root of what this is an interval of, which is not below zero.
+    /// The interval of the root, if this is one of a non-negative figure.
     fn root(self) -> Self {
         Self { low: self.low.max(0.0).sqrt(), high: self.high.max(0.0).sqrt() }
     }
@@ -59,7 +58,7 @@ impl Interval {
 pub struct Estimate {
     /// The figure.
     pub value: f64,
-    /// `None` where there are too few values for one.
+    /// `None` if there are too few values for one.
     pub interval: Option<Interval>,
 }
 
@@ -80,13 +79,13 @@ pub(crate) mod tests {
         stream(seed.into(), replicate, Source::Factors).sample_iter(Open01).take(count)
     }
 
-    /// How many of the replicates hold the truth; every one must have an interval.
+    /// How many of the replicates contain the truth; every one must have an interval.
     pub(crate) fn covered(replicates: u32, holds: impl Fn(u32) -> Option<bool>) -> u64 {
         (0..replicates).map(|r| u64::from(holds(r).expect("an interval"))).sum()
     }
 
-    /// That intervals hold the truth as often as `nominal` says: so many hits or fewer come in one of two thousand runs of exact intervals. There is
-    /// no upper bound: an interval may be conservative.
+    /// Checks that intervals contain the truth as often as `nominal` says: so few hits occur in one of two thousand runs of exact intervals. There
+    /// is no upper bound: an interval may be conservative.
     pub(crate) fn assert_covers(replicates: u32, nominal: f64, holds: impl Fn(u32) -> Option<bool>) {
         let hits = covered(replicates, holds);
         let chance = binomial_cdf(hits, replicates.into(), nominal);

@@ -28,7 +28,7 @@ impl Default for Moments {
 }
 
 impl Moments {
-    /// Takes in a value; what is absent or not finite is counted as skipped.
+    /// Takes in a value; an absent or non-finite one is counted as skipped.
     pub fn add(&mut self, value: impl Into<Option<f64>>) {
         let Some(value) = value.into().filter(|v| v.is_finite()) else {
             self.skipped += 1;
@@ -81,13 +81,13 @@ impl Moments {
         (self.count > 0).then_some(figure)
     }
 
-    /// Of single values, with n - 1; `None` from one value.
+    /// Of single values, with n - 1; `None` for one value.
     pub fn variance(&self) -> Option<f64> {
         (self.count > 1).then(|| self.powers[0] / (self.count - 1) as f64)
     }
 
     /// The mean with its interval of confidence `level` (Student's t); `None` without values. For values that are not normal it holds in the limit:
-    /// from some tens where they are not very skew.
+    /// from some tens of values on if they are not very skew.
     pub fn mean_interval(&self, level: f64) -> Option<Estimate> {
         let value = self.mean()?;
         let half =
@@ -102,15 +102,15 @@ impl Moments {
         Some(Estimate { value: mean.value.sqrt(), interval: mean.interval.map(Interval::root) })
     }
 
-    /// The standard deviation of single values with its interval of confidence `level`; `None` from one value, without interval below ten values and
-    /// where nothing scatters.
+    /// The standard deviation of single values with its interval of confidence `level`; `None` for one value, without an interval for fewer than ten
+    /// values and if nothing scatters.
     ///
     /// The interval takes the kurtosis from the values, so that it does not need them to be normal. It is too narrow for few values with long tails:
     /// at 95 % it held in 94 to 97 % of studies of ten or a hundred normal or uniform values, and in 90 % of a hundred exponential ones (measured in its
     /// test).
     ///
     /// Source: D. G. Bonett, "Approximate confidence interval for standard deviation of nonnormal distributions", Computational Statistics & Data
-    /// Analysis 50 (2006), 775-782, with the mean in place of the trimmed mean, which cannot be had in one pass.
+    /// Analysis 50 (2006), 775-782, with the mean in place of the trimmed mean, which cannot be computed in one pass.
     pub fn deviation_interval(&self, level: f64) -> Option<Estimate> {
         let value = self.variance()?.sqrt();
         let enough = self.count >= 10 && value > 0.0;

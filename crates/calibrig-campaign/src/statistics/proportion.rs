@@ -13,7 +13,7 @@ pub struct Proportion {
 }
 
 impl Proportion {
-    /// Takes in whether it happened; `None`, where it is not known, is counted as skipped.
+    /// Takes in whether it happened; `None`, if unknown, is counted as skipped.
     pub fn add(&mut self, happened: impl Into<Option<bool>>) {
         match happened.into() {
             Some(happened) => {
@@ -34,18 +34,18 @@ impl Proportion {
         self.hits
     }
 
-    /// Of how many it is known.
+    /// For how many it is known.
     pub fn trials(&self) -> u64 {
         self.trials
     }
 
-    /// Of how many it is not known.
+    /// For how many it is unknown.
     pub fn skipped(&self) -> u64 {
         self.skipped
     }
 
-    /// The share with its exact interval of confidence `level` (Clopper and Pearson), which holds at any number of trials and is rather too wide; `None`
-    /// without trials, without interval for more than 1e9.
+    /// The share with its exact interval of confidence `level` (Clopper and Pearson), which holds for any number of trials and is rather too wide;
+    /// `None` without trials, without an interval for more than 1e9.
     pub fn interval(&self, level: f64) -> Option<Estimate> {
         (self.trials > 0).then(|| {
             let (low, high) = clopper_pearson(self.hits, self.trials, level);

@@ -16,8 +16,8 @@ const DIGITS: usize = 1 << DIGIT_BITS;
 pub struct Quantile {
     /// Which: the share of values below.
     pub share: f64,
-    /// Linear between the order statistics; the interval's ends are order statistics, so that it holds the quantile at least as often as its level
-    /// says. `None` where there are too few values for that: fewer than 6 for a median at 95 %, than 72 for the 5 % quantile.
+    /// Linear between the order statistics; the interval's ends are order statistics, so that it contains the quantile at least as often as its
+    /// level says. `None` if there are too few values for that: fewer than 6 for a median at 95 %, than 72 for the 5 % quantile.
     pub estimate: Estimate,
 }
 
@@ -39,11 +39,11 @@ pub enum QuantileError<E: Error + 'static> {
     /// The column could not be read.
     #[error(transparent)]
     Read(E),
-    /// The passes did not see the same values.
-    #[error("the values changed while their quantiles were taken")]
+    /// The passes saw different values.
+    #[error("the values changed while their quantiles were computed")]
     Changed,
-    /// No share of anything.
-    #[error("there is no quantile of the share {share}; it must be between 0 and 1")]
+    /// Not a valid share.
+    #[error("no quantile at the share {share}: it must be between 0 and 1")]
     Share {
         /// As it was given.
         share: f64,
@@ -52,8 +52,8 @@ pub enum QuantileError<E: Error + 'static> {
 
 /// The quantiles `shares` of a column with their intervals of confidence `level`: exact, without holding the column.
 ///
-/// `visit` hands every value of the column to what it is given, and is called four times: each pass tells 16 more bits of the values apart, for all
-/// quantiles at once. That takes half a megabyte for each of up to four order statistics a quantile. Values that are not finite are skipped.
+/// `visit` passes every value of the column to its argument, and is called four times: each pass resolves 16 more bits of the values, for all
+/// quantiles at once. That takes half a megabyte for each of up to four order statistics per quantile. Values that are not finite are skipped.
 ///
 /// ```
 /// use calibrig_campaign::statistics::quantiles;
@@ -97,7 +97,7 @@ pub fn quantile_of_sorted(sorted: &[f64], share: f64) -> Option<f64> {
     Some(between(low, sorted.get(below + 1).copied().unwrap_or(low), part))
 }
 
-/// Rank, from zero, of the order statistic below a quantile, and how far the quantile is on the way to the next.
+/// Rank, from zero, of the order statistic below a quantile, and the quantile's position between it and the next.
 fn place(share: f64, count: u64) -> (u64, f64) {
     let place = share * count.saturating_sub(1) as f64;
     // Not negative, and far below 2^52.
@@ -110,7 +110,7 @@ fn between(low: f64, high: f64, part: f64) -> f64 {
     low + part * (high - low)
 }
 
-/// The order statistics that a quantile and its interval are read from, from zero.
+/// The order statistics that determine a quantile and its interval, from zero.
 struct Ranks {
     below: u64,
     above: u64,
@@ -211,8 +211,8 @@ impl Pass {
         }
     }
 
-    /// Where one digit more of the value of `rank`, among those that share the known digits, leads: the digits, and the rank among those that share them
-    /// all. `None` where there are fewer values.
+    /// The result of one more digit of the value of `rank`, among those that share the known digits: the digits, and the rank among those that share
+    /// them all. `None` if there are fewer values.
     fn narrow(&self, digits: u64, mut rank: u64) -> Option<(u64, u64)> {
         let prefix = self.prefixes.binary_search(&digits).ok()?;
         for (next, count) in (0..).zip(&self.counts[prefix * DIGITS..(prefix + 1) * DIGITS]) {
@@ -393,7 +393,7 @@ mod tests {
         assert_eq!(quantiles(emptied, &[0.5], 0.95), Err(QuantileError::Changed));
         let visit = |_: &mut dyn FnMut(f64)| Ok::<_, Infallible>(());
         let error = quantiles(visit, &[0.5, 95.0], 0.95).expect_err("a share above one").to_string();
-        assert_eq!(error, "there is no quantile of the share 95; it must be between 0 and 1");
+        assert_eq!(error, "no quantile at the share 95: it must be between 0 and 1");
         assert!(quantiles(visit, &[f64::NAN], 0.95).is_err());
         assert_eq!((quantile_of_sorted(&[], 0.5), quantile_of_sorted(&[1.0], 2.0)), (None, None));
     }

@@ -39,8 +39,8 @@ impl RatioOfMeans {
         self.skipped
     }
 
-    /// The ratio with its interval of confidence `level`; `None` without pairs and where the denominator's mean is zero. Without interval from one pair,
-    /// and where the denominator's mean cannot be told from zero.
+    /// The ratio with its interval of confidence `level`; `None` without pairs, and if the denominator's mean is zero. Without an interval for one
+    /// pair, and if the denominator's mean does not differ significantly from zero.
     ///
     /// Source: E. C. Fieller, "Some problems in interval estimation", J. Royal Statistical Society B 16 (1954), 175-185.
     pub fn interval(&self, level: f64) -> Option<Estimate> {
@@ -65,13 +65,13 @@ impl RatioOfMeans {
         if !(a > 0.0) {
             return None;
         }
-        // Rounding can make it negative where the ratio does not scatter.
+        // Rounding can make it negative if the ratio does not scatter.
         let half = (b * b - a * c).max(0.0).sqrt();
         Some(Interval { low: (b - half) / a, high: (b + half) / a })
     }
 }
 
-/// The mean difference between two columns of the same trials, or of trials with the same draws: what they share does not count in its interval.
+/// The mean difference between two columns of the same trials, or of trials with the same draws: what they share cancels in its interval.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct PairedDifference(Moments);
 

@@ -16,7 +16,7 @@ pub(super) enum Values {
 #[derive(Debug, Clone)]
 pub(super) struct ColumnRows {
     pub values: Values,
-    /// One a row: 1 where there is a value, else 0.
+    /// One per row: 1 if there is a value, else 0.
     pub levels: Vec<i16>,
 }
 
@@ -34,7 +34,7 @@ impl ColumnRows {
         columns.iter().map(|column| Self::new(column.kind)).collect()
     }
 
-    /// Whether `cell` can stand here.
+    /// Whether `cell` is valid here.
     pub fn takes(&self, cell: &Cell) -> bool {
         matches!(
             (&self.values, cell),

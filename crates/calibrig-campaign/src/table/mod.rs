@@ -1,7 +1,7 @@
 //! Tables of rows in Parquet: written group by group, so that a table of any length takes the same memory, and read back the same way.
 //!
-//! The bytes of a table depend on its rows and what is said about it alone: every group but the last has the same number of rows, which follows
-//! from the number of columns, and no clock, no name of a machine and no number of threads is in it.
+//! The bytes of a table depend only on its rows and what is stated about it: every group but the last has the same number of rows, which
+//! follows from the number of columns; there is no clock, machine name or number of threads in it.
 
 mod columns;
 mod read;
@@ -32,7 +32,7 @@ pub enum Kind {
 /// A column; every cell may be absent.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Column {
-    /// Unique in its table; a unit is part of it.
+    /// Unique in its table; includes the unit.
     pub name: String,
     /// What it holds.
     pub kind: Kind,
@@ -48,7 +48,7 @@ impl Column {
 /// A cell of a row.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Cell {
-    /// Nothing is known.
+    /// Unknown.
     Absent,
     /// Of a column of integers.
     Integer(i64),
@@ -69,12 +69,12 @@ impl Cell {
         Self::Text(value.into())
     }
 
-    /// A count; what is beyond 2^63 is not told.
+    /// A count; absent beyond 2^63.
     pub fn count(value: impl TryInto<i64>) -> Self {
         value.try_into().map_or(Self::Absent, Self::Integer)
     }
 
-    /// As a number, where it is one.
+    /// As a number, if it is one.
     #[allow(clippy::cast_precision_loss)]
     pub fn as_number(&self) -> Option<f64> {
         match self {
@@ -84,7 +84,7 @@ impl Cell {
         }
     }
 
-    /// As a text, where it is one.
+    /// As a text, if it is one.
     pub fn as_text(&self) -> Option<&str> {
         match self {
             Self::Text(text) => Some(text),
@@ -93,7 +93,7 @@ impl Cell {
     }
 }
 
-/// Rows that can be looked through again and again.
+/// Rows that can be visited repeatedly.
 pub trait Table {
     /// Its columns.
     fn columns(&self) -> &[Column];
@@ -101,7 +101,7 @@ pub trait Table {
     /// Number of its rows.
     fn rows(&self) -> u64;
 
-    /// Shows some cells of the rows of a range, in order: those of the columns `wanted`, in the order of these.
+    /// Visits some cells of the rows of a range, in order: those of the columns `wanted`, in that order.
     ///
     /// # Errors
     ///
@@ -113,7 +113,7 @@ pub trait Table {
         show: &mut dyn FnMut(&[Cell]),
     ) -> Result<(), TableError>;
 
-    /// Place of the column of that name.
+    /// Index of the column of that name.
     fn place_of(&self, name: &str) -> Option<usize> {
         self.columns().iter().position(|column| column.name == name)
     }
@@ -127,7 +127,7 @@ pub struct MemoryTable {
 }
 
 impl MemoryTable {
-    /// Rows of a cell a column; what a row lacks is absent.
+    /// Rows of one cell per column; missing cells are absent.
     pub fn new(columns: Vec<Column>, rows: Vec<Vec<Cell>>) -> Self {
         Self { columns, rows }
     }
@@ -162,7 +162,7 @@ impl Table for MemoryTable {
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum TableError {
-    /// The file system says no.
+    /// An error of the file system.
     #[error("{}: {source}", path.display())]
     Io {
         /// Which file or folder.
@@ -170,7 +170,7 @@ pub enum TableError {
         /// Why.
         source: std::io::Error,
     },
-    /// What is there is not a table that can be read, or what shall be there cannot be written.
+    /// Not a readable table, or one that cannot be written.
     #[error("{}: {reason}", path.display())]
     Parquet {
         /// Which file.
@@ -178,8 +178,8 @@ pub enum TableError {
         /// Why.
         reason: String,
     },
-    /// A row that is not of this table.
-    #[error("{}: a row of {cells} cells for {columns} columns, or a cell of another kind", path.display())]
+    /// A row that does not fit this table.
+    #[error("{}: a row has {cells} cells for {columns} columns, or a cell of the wrong kind", path.display())]
     Row {
         /// Which file.
         path: PathBuf,
@@ -197,7 +197,7 @@ impl TableError {
 
     pub(crate) fn parquet(path: &Path) -> impl Fn(parquet::errors::ParquetError) -> Self + '_ {
         move |error| {
-            // What the disk says (no room, no permission) comes wrapped.
+            // Errors of the disk (no space, no permission) come wrapped.
             match error {
                 parquet::errors::ParquetError::External(inner) => match inner.downcast::<std::io::Error>() {
                     Ok(source) => Self::Io { path: path.to_path_buf(), source: *source },
@@ -209,9 +209,9 @@ impl TableError {
     }
 }
 
-/// Cells that a group of rows holds at least: some 32 MB.
+/// Least number of cells in a group of rows: some 32 MB.
 const CELLS_A_GROUP: usize = 4 << 20;
-/// Rows of a group, however wide.
+/// Most rows of a group, however narrow.
 const LEAST_ROWS_A_GROUP: usize = 1024;
 
 /// Rows of every group but the last.

@@ -36,7 +36,7 @@ impl TableReader {
                     Physical::INT64 => Kind::Integer,
                     Physical::DOUBLE => Kind::Number,
                     Physical::BYTE_ARRAY => Kind::Text,
-                    other => return Err(format!("column {} is of type {other}", column.name())),
+                    other => return Err(format!("column {} has the unsupported type {other}", column.name())),
                 };
                 if column.max_def_level() != 1 || column.max_rep_level() != 0 {
                     return Err(format!("column {} is not a plain column of optional values", column.name()));
@@ -48,7 +48,7 @@ impl TableReader {
         Ok(Self { path: path.to_path_buf(), file, columns })
     }
 
-    /// What is said about it under `key`.
+    /// What is stated about it under `key`.
     pub fn about(&self, key: &str) -> Option<&str> {
         let entries = self.file.metadata().file_metadata().key_value_metadata()?;
         entries.iter().find(|entry| entry.key == key)?.value.as_deref()
@@ -104,10 +104,10 @@ impl TableReader {
             ColumnReader::Int64ColumnReader(reader) => all(reader, rows, Values::Integer),
             ColumnReader::DoubleColumnReader(reader) => all(reader, rows, Values::Number),
             ColumnReader::ByteArrayColumnReader(reader) => all(reader, rows, Values::Text),
-            _ => Err(ParquetError::General(format!("column {column} is of another type"))),
+            _ => Err(ParquetError::General(format!("column {column} has the wrong type"))),
         }
         .map_err(&failed)?;
-        // A shorter one would shift what stands beside it.
+        // A shorter one would shift its neighbours.
         if read.levels.len() != rows {
             let reason = format!("column {column} has {} rows of {rows}", read.levels.len());
             return Err(TableError::Parquet { path: self.path.clone(), reason });

@@ -79,7 +79,7 @@ fn what_is_no_row_or_no_table_is_refused() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut writer = TableWriter::create(folder.path(), &columns()).expect("a table");
     let short = writer.push(&row(1)[..2]).expect_err("two cells").to_string();
-    assert!(short.contains("a row of 2 cells for 3 columns"), "{short}");
+    assert!(short.contains("a row has 2 cells for 3 columns"), "{short}");
     let other = [Cell::Integer(1), Cell::Integer(2), Cell::Absent];
     assert!(writer.push(&other).is_err(), "an integer among numbers");
     let (path, _) = write(folder.path(), "t.parquet", 100);

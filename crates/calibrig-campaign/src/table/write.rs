@@ -37,7 +37,7 @@ impl Write for Summed {
     }
 }
 
-/// A table that is being written, in a file that has no name of its own yet.
+/// A table that is being written, in a file without its final name.
 pub struct TableWriter {
     /// For errors.
     folder: PathBuf,
@@ -62,7 +62,7 @@ impl TableWriter {
         Ok(Self { folder, writer, columns: ColumnRows::of(columns), waiting: 0, rows: 0 })
     }
 
-    /// Adds a row: a cell a column.
+    /// Adds a row: one cell per column.
     pub fn push(&mut self, row: &[Cell]) -> Result<(), TableError> {
         let columns = self.columns.len();
         let takes = |(column, cell): (&ColumnRows, &Cell)| column.takes(cell);
@@ -85,12 +85,12 @@ impl TableWriter {
         Ok(())
     }
 
-    /// Says something about the table.
+    /// States something about the table.
     pub fn say(&mut self, key: &str, text: String) {
         self.writer.append_key_value_metadata(KeyValue::new(key.to_owned(), text));
     }
 
-    /// Completes the file, and has the disk hold it.
+    /// Completes the file, and syncs it to the disk.
     pub fn finish(mut self) -> Result<StagedTable, TableError> {
         self.write_group()?;
         let rows = self.rows;
@@ -105,10 +105,10 @@ impl TableWriter {
     }
 }
 
-/// How the names of files begin that are not complete.
+/// Prefix of the names of incomplete files.
 pub(crate) const TEMPORARY: &str = ".calibrig-trials-";
 
-/// A complete table that waits for its name. Dropped, it is gone.
+/// A complete table without its name. It is removed if dropped.
 #[derive(Debug)]
 pub struct StagedTable {
     file: NamedTempFile,
@@ -127,12 +127,12 @@ impl StagedTable {
         self.rows
     }
 
-    /// Where it lies until it has its name.
+    /// Its place until it has its name.
     pub fn path(&self) -> &Path {
         self.file.path()
     }
 
-    /// Gives it its name, in the folder that it was made in; what had the name before is replaced.
+    /// Gives it its name, in the folder in which it was made; a file of that name is replaced.
     pub fn name(self, path: &Path) -> Result<(), TableError> {
         // A temporary file is private; a result is not.
         #[cfg(unix)]
@@ -146,10 +146,10 @@ impl StagedTable {
     }
 }
 
-/// Has the disk hold the name of a file.
+/// Syncs the name of a file to the disk.
 pub(crate) fn sync_folder_of(path: &Path) -> Result<(), TableError> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    // Where folders cannot be opened (Windows), there is nothing to do.
+    // If folders cannot be opened (Windows), there is nothing to do.
     match File::open(folder) {
         Ok(folder) => folder.sync_all().or_else(|error| match error.kind() {
             // Some network file systems have no such call.
@@ -192,12 +192,13 @@ fn properties(columns: &[Column]) -> Result<WriterProperties, ParquetError> {
     let mut builder = WriterProperties::builder()
         .set_created_by(concat!("calibrig version ", env!("CARGO_PKG_VERSION")).to_owned())
         .set_compression(Compression::ZSTD(ZstdLevel::try_new(1)?))
-        // Groups are closed by us; a page of any size is one.
+        // We close groups ourselves; a page may have any size.
         .set_max_row_group_row_count(None)
         .set_statistics_enabled(EnabledStatistics::Chunk)
         .set_offset_index_disabled(true);
     for column in columns.iter().filter(|column| column.kind == Kind::Number) {
-        // Measured values do not repeat: a dictionary of them is larger than they are. Their bytes of one place are alike.
+        // Measured values do not repeat: a dictionary would be larger than the values. Bytes at the same place of the
+        // numbers are similar.
         let path = ColumnPath::new(vec![column.name.clone()]);
         builder = builder
             .set_column_dictionary_enabled(path.clone(), false)

@@ -3,12 +3,10 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::{CalibrateError, errors, without_gross_errors};
-use crate::evaluation::{
-    Fit, NoiseLevel, Split, Variant, VariantRow, compare_variants, k_fold,
-};
+use crate::evaluation::{Fit, NoiseLevel, Split, Variant, VariantRow, compare_variants, k_fold};
 use crate::identification::{
-    IdentificationOptions, LINKAGE, Mode, NoiseScale, Outlier, ParameterChoice,
-    Uncertainty, identify, linearise,
+    IdentificationOptions, LINKAGE, Mode, NoiseScale, Outlier, ParameterChoice, Uncertainty, identify,
+    linearise,
 };
 use crate::validation::{held_out_errors, in_order};
 use calibrig_model::measurement::MeasurementSet;

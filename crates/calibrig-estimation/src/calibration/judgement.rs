@@ -4,12 +4,12 @@ use std::fmt;
 
 use nalgebra::{DVector, Vector3};
 
+use super::CalibrateError;
 use super::residuals::{ObservationResidual, residuals};
 use super::worth::{Worse, worse};
-use super::CalibrateError;
 use crate::evaluation::{
-    ChiSquareTest, ConsistencyReport, ModeOutcome, PoseConditions, ResidualSet, ScatterComparison, check_consistency,
-    compare_scatter,
+    ChiSquareTest, ConsistencyReport, ModeOutcome, PoseConditions, ResidualSet, ScatterComparison,
+    check_consistency, compare_scatter,
 };
 use crate::identification::{
     Estimate, IdentificationOptions, Linearisation, Mode, NoiseScale, Outlier, ParameterSupport,

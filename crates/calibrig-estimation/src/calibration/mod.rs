@@ -124,7 +124,10 @@ pub fn errors(robot: &CalibratedRobot, set: &MeasurementSet) -> Result<Vec<Vecto
 }
 
 /// Measured against predicted orientations, rotation vectors in base axes, rad, one per observation; `None` where a reading has no orientation.
-pub fn turns(robot: &CalibratedRobot, set: &MeasurementSet) -> Result<Vec<Option<Vector3<f64>>>, CalibrateError> {
+pub fn turns(
+    robot: &CalibratedRobot,
+    set: &MeasurementSet,
+) -> Result<Vec<Option<Vector3<f64>>>, CalibrateError> {
     if !set.has_poses() {
         return Ok(vec![None; set.observations.len()]);
     }

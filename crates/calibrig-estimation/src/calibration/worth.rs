@@ -40,8 +40,8 @@ impl fmt::Display for Worse {
         let mm = |metres: f64| -1e3 * metres;
         write!(
             f,
-            "identifying {} makes poses that were not fitted worse, by {:.4} mm RMS (interval {:.4} to {:.4} mm), than leaving it where it was \
-             predicted: leave it out, or state a tighter prior",
+            "identifying {} makes predictions of poses that were not fitted worse, by {:.4} mm RMS (interval {:.4} to {:.4} \
+             mm), than leaving it at its predicted value: leave it out, or state a tighter prior",
             names.join(", "),
             mm(self.gain.value),
             mm(self.gain.high),

@@ -36,7 +36,7 @@ pub enum CompensationError {
     #[error(transparent)]
     Inverse(#[from] InverseError),
     /// The rigid nominal robot meets the goal, but the identified one does not, within the limits.
-    #[error("the nominal robot meets the goal, the identified one does not: {0}")]
+    #[error("the nominal robot reaches the goal, but the identified one does not: {0}")]
     OutOfCorrection(Box<Unreachable>),
     /// The robot is refused, or has no equilibrium.
     #[error(transparent)]

@@ -41,13 +41,13 @@ pub enum PathError {
         source: GoalError,
     },
     /// Two consecutive points are at the same place.
-    #[error("point {} of the path is where point {} is: leave one of them out", point + 1, point)]
+    #[error("point {} of the path is at the same place as point {}: leave one of them out", point + 1, point)]
     Duplicate {
         /// Index of the second point.
         point: usize,
     },
     /// A point is of another kind than the first, such as a pose among positions.
-    #[error("point {} of the path has {found} coordinates that count: expected {expected}, as the first point", point + 1)]
+    #[error("point {} of the path has {found} constrained coordinates: expected {expected}, as the first point", point + 1)]
     Kind {
         /// Index of the point.
         point: usize,
@@ -71,7 +71,7 @@ pub enum PathError {
         speed: f64,
     },
     /// A speed limit of an actuator is not above zero.
-    #[error("the speed limit of actuator {} is {limit}: expected a number above zero, infinite where there is none", actuator + 1)]
+    #[error("the speed limit of actuator {} is {limit}: expected a number above zero, infinite for no limit", actuator + 1)]
     Limit {
         /// Index of the actuator.
         actuator: usize,

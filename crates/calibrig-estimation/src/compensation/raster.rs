@@ -43,7 +43,7 @@ pub enum RasterError {
     },
     /// Corners coincide, lie on one line, or cross.
     #[error(
-        "the corners make no panel at corner {}: expected four of them in order around it, no three on one line",
+        "the corners do not form a panel at corner {}: expected four of them in order around it, no three on one line",
         corner + 1
     )]
     NoPanel {
@@ -51,7 +51,7 @@ pub enum RasterError {
         corner: usize,
     },
     /// There are more points than allowed.
-    #[error("the raster has {points:.0} points: at most {most} are made; choose a wider pitch or spacing")]
+    #[error("the raster has {points:.0} points: expected at most {most}; choose a wider pitch or spacing")]
     TooMany {
         /// Number of points.
         points: f64,
@@ -184,9 +184,9 @@ mod tests {
         assert!(told(&|r| r.standoff = -0.1).starts_with("the standoff is -0.1 m"));
         assert!(told(&|r| r.corners[2].x = f64::NAN).starts_with("corner 3 is at (NaN, 0.5, 1)"));
         // Crossed, on one line, and with a corner twice.
-        assert!(told(&|r| r.corners.swap(2, 3)).contains("make no panel"));
-        assert!(told(&|r| r.corners[2] = Vector3::new(1.0, 0.5, 0.5)).contains("make no panel at corner 3"));
-        assert!(told(&|r| r.corners[1] = r.corners[0]).contains("make no panel"));
+        assert!(told(&|r| r.corners.swap(2, 3)).contains("do not form a panel"));
+        assert!(told(&|r| r.corners[2] = Vector3::new(1.0, 0.5, 0.5)).contains("do not form a panel at corner 3"));
+        assert!(told(&|r| r.corners[1] = r.corners[0]).contains("do not form a panel"));
         assert!(told(&|r| r.spacing = 1e-7).contains("choose a wider pitch"));
     }
 }

@@ -11,7 +11,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
 
 use super::place::Placed;
 use super::session::View;
-use crate::kinematics::PlacedChain;
+use crate::kinematics::KinematicChain;
 use calibrig_model::LinkTerm;
 
 /// Gauss-Newton iterations.
@@ -36,7 +36,7 @@ const FARTHEST_OFFSET: f64 = 100.0;
 const OPEN: f64 = 1e-7;
 
 /// The fit of a hypothesis, with results for every row.
-pub(super) struct Fit {
+pub(super) struct HypothesisFit {
     /// `tracker_from_base` of the stations, and offsets of the targets.
     pub placed: Placed,
     /// Twice the negative logarithm of the marginal likelihood of the rows that were fitted.
@@ -112,7 +112,7 @@ struct Solution {
 }
 
 /// Fits the rows of `view` that are marked in `kept`, from `start`.
-pub(super) fn fit(view: &View, start: &Placed, kept: &[bool]) -> Option<Fit> {
+pub(super) fn fit(view: &View, start: &Placed, kept: &[bool]) -> Option<HypothesisFit> {
     let layout = Layout::new(view);
     // Parameters with a prior: deviations in units of the prior's standard deviation.
     let mut held = DVector::<f64>::zeros(layout.columns - layout.places);
@@ -133,7 +133,7 @@ pub(super) fn fit(view: &View, start: &Placed, kept: &[bool]) -> Option<Fit> {
             (0..3).for_each(|k| held[column - layout.places + 3 + k] = turn[k]);
         }
     }
-    let mut chain = PlacedChain::new(&view.chain);
+    let mut chain = KinematicChain::new(&view.chain);
     for round in 0..=ROUNDS {
         let mut changed = view.chain.clone();
         for (index, value) in held.iter().take(TERMS.len() * changed.links.len()).enumerate() {
@@ -184,7 +184,7 @@ pub(super) fn fit(view: &View, start: &Placed, kept: &[bool]) -> Option<Fit> {
 fn system(
     view: &View,
     layout: &Layout,
-    chain: &mut PlacedChain,
+    chain: &mut KinematicChain,
     now: &Placed,
 ) -> (System, Vec<Vector3<f64>>) {
     let n = view.chain.links.len();
@@ -373,7 +373,7 @@ fn told(
     in_base: Vec<Vector3<f64>>,
     solution: &Solution,
     kept: &[bool],
-) -> Fit {
+) -> HypothesisFit {
     let variance = solution.sigma * solution.sigma;
     let (mut far, mut covariance) = (Vec::with_capacity(kept.len()), Vec::with_capacity(kept.len()));
     let (mut squares, mut count) = (0.0, 0);
@@ -396,7 +396,7 @@ fn told(
         far.push(terms.map(|(v, a)| a * a / v).sum());
         covariance.push(spread);
     }
-    Fit {
+    HypothesisFit {
         placed,
         score: solution.score,
         sigma: solution.sigma,
@@ -407,7 +407,7 @@ fn told(
     }
 }
 
-impl Fit {
+impl HypothesisFit {
     /// Squared distance, in standard deviations, of a point (m, in the tracker's frame) from where `row`'s target is; and the distance, m.
     pub fn distance(&self, view: &View, row: usize, seen: &Vector3<f64>) -> (f64, f64) {
         let (rotation, shift) = &self.placed.stations[view.station[row]];
@@ -422,7 +422,7 @@ impl Fit {
 #[cfg(test)]
 pub(super) fn dense(view: &View, placed: &Placed) -> (DMatrix<f64>, DVector<f64>, usize) {
     let layout = Layout::new(view);
-    let (system, _) = system(view, &layout, &mut PlacedChain::new(&view.chain), placed);
+    let (system, _) = system(view, &layout, &mut KinematicChain::new(&view.chain), placed);
     let y = DVector::from_iterator(3 * system.left.len(), system.left.iter().flat_map(|v| v.iter().copied()));
     (system.jacobian, y, system.places)
 }

@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
 
 use super::session::View;
 use super::tried::LENGTHS;
-use crate::kinematics::PlacedChain;
+use crate::kinematics::KinematicChain;
 use calibrig_model::geometry::cross_matrix;
 
 /// Iterations that alternate between rotation and offsets.
@@ -57,7 +57,7 @@ impl Placed {
 }
 
 impl Cloud {
-    pub fn new(view: &View, chain: &mut PlacedChain) -> Self {
+    pub fn new(view: &View, chain: &mut KinematicChain) -> Self {
         chain.set_model(&view.chain);
         let n = view.chain.links.len();
         let (mut x, mut axes) = (Vec::with_capacity(view.rows.len()), Vec::with_capacity(view.rows.len()));

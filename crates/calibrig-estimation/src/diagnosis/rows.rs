@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use super::FarOff;
-use super::evidence::{Fit, fit};
+use super::evidence::{HypothesisFit, fit};
 use super::part::Part;
 use super::place::{Placed, median};
 use super::session::View;
@@ -27,7 +27,7 @@ const LARGEST_CYCLE: usize = 8;
 /// A view without some of its rows.
 pub(super) struct LeftOut {
     pub kept: Vec<bool>,
-    pub fit: Fit,
+    pub fit: HypothesisFit,
     /// Score including the cost of the rows that are left out.
     pub score: f64,
 }
@@ -65,8 +65,9 @@ pub(super) fn without_few(view: &View, robust: &Placed, lengths: &[f64], spread:
             }
         }
     }
-    let score =
-        |fit: &Fit, kept: &[bool]| fit.score + cost * kept.iter().filter(|is_kept| !**is_kept).count() as f64;
+    let score = |fit: &HypothesisFit, kept: &[bool]| {
+        fit.score + cost * kept.iter().filter(|is_kept| !**is_kept).count() as f64
+    };
     let mut best = LeftOut { score: score(&now, &kept), fit: now, kept: kept.clone() };
     let mut path = best.fit.placed.clone();
     let mut far = best.fit.far.clone();

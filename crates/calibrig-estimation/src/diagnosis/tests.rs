@@ -9,7 +9,7 @@ use super::convention::other_convention;
 use super::place::{Cloud, Placed};
 use super::session::Session;
 use super::*;
-use crate::kinematics::{PlacedChain, target_in_base};
+use crate::kinematics::{KinematicChain, target_in_base};
 use calibrig_model::geometry::{Transform, rotation_x, rotation_z, translation};
 use calibrig_model::measurement::{Reading, SphericalReading};
 use calibrig_model::{ActuatorMap, AxisMap, CraigLink};
@@ -85,7 +85,7 @@ fn the_evidence_is_the_marginal_likelihood() {
     let set = measure(&model, 14, 1e-3);
     let session = Session::new(&model, &set);
     let view = session.view(&[]).expect("a view");
-    let cloud = Cloud::new(&view, &mut PlacedChain::new(&model.kinematics));
+    let cloud = Cloud::new(&view, &mut KinematicChain::new(&model.kinematics));
     let placed: Placed = cloud.refined(cloud.best(None));
     let kept = vec![true; view.rows.len()];
     let fit = evidence::fit(&view, &placed, &kept).expect("a fit");

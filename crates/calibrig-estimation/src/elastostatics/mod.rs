@@ -6,9 +6,5 @@ mod chain;
 
 pub use apply::apply;
 pub(crate) use apply::put;
-pub use beam::{
-    CondensedFrame, EndCompliance, EndStiffness, Frame, FrameError, FrameSolution, Lump, SegmentGroup,
-    end_compliance, end_stiffness, segment_groups,
-};
 pub(crate) use chain::Carried;
 pub use chain::{Deflection, ElasticChain, ElasticError, Settled};

@@ -84,7 +84,7 @@ impl fmt::Display for ConsistencyReport {
         } else if let Some(size) = self.size.filter(|_| self.too_small()) {
             write!(
                 f,
-                "the residuals are {:.2} times what the stated noise leaves: it is stated too large",
+                "the residuals are {:.2} times what the stated noise leaves: the noise is stated too large",
                 size.ratio()
             )?;
         } else {
@@ -94,7 +94,7 @@ impl fmt::Display for ConsistencyReport {
             })?;
         }
         match &self.shape {
-            None => f.write_str("\ntheir shape is not tested: they leave no degree of freedom"),
+            None => f.write_str("\ntheir shape is not tested: no degrees of freedom remain"),
             Some(shape) if shape.patterns.is_empty() => {
                 f.write_str("\nthey have no pattern against joints, approach, time or sequence")
             }

@@ -5,12 +5,12 @@ use std::borrow::Cow;
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Vector3};
 
 use super::factor::triangular_factor;
+use super::forward_model::ForwardModel;
 use super::instrument::Instruments;
-use super::machine::Machine;
 use super::noise::{MachineNoise, MachineNoiseChoice, Noise, poses};
 use super::parameters::{Column, Columns, PriorKind, columns};
 use super::place::{Ends, best_fit_station, flanges, starting_offsets};
-use super::problem::{CalibrationProblem, Current, Prior, Row};
+use super::problem::{CalibrationProblem, Current, PositionRow, Prior};
 use super::shared::{shared_errors, take_out};
 use super::swept::swept_rows;
 use super::turns::{TurnRow, starting_turn, stated_orientations, turns};
@@ -393,18 +393,18 @@ fn assemble(
     targets(set, options, ends, &mut parameters, &mut priors)?;
     orientations(set, options, ends, &mut parameters, &mut priors)?;
     let instruments = Instruments::new(set, options, &mut parameters, &mut priors);
-    let mut machine = Machine::new(options.mode, model);
-    machine.set_terms(columns.iter().filter_map(|column| match column.id {
+    let mut forward = ForwardModel::new(options.mode, model);
+    forward.set_terms(columns.iter().filter_map(|column| match column.id {
         ParameterId::Term(term) => Some(term),
         _ => None,
     }));
     let with = (&instruments, stations.as_slice(), parameters.as_slice());
-    let swept = placing(set, placed, with, &mut machine, &mut priors, (&mut own_priors, &mut tolerances))?;
+    let swept = placing(set, placed, with, &mut forward, &mut priors, (&mut own_priors, &mut tolerances))?;
     sigmas.resize(parameters.len(), None);
     let targets: Vec<Vector3<f64>> = set.targets.iter().map(|t| t.in_flange).collect();
     let x = starting_values(model, set, options, &parameters, (&stations, &offsets));
     let (mut turns, orientations) = (turns(set), stated_orientations(set));
-    let mut rows = rows(set, options.unmodelled_sigma, &mut machine)?;
+    let mut rows = rows(set, options.unmodelled_sigma, &mut forward)?;
     instruments.add_to(&mut rows, set.observations.iter(), set, &stations);
     // A loss weighs every reading by its own rows, so that shared errors are then treated as each reading's own.
     let shared = match options.solver.loss {
@@ -417,7 +417,7 @@ fn assemble(
         rows,
         turn_of: turn_of(set.observations.len(), &turns),
         turns,
-        current: Current::new(model, machine, &stations, &targets, &orientations),
+        current: Current::new(model, forward, &stations, &targets, &orientations),
         orientations,
         turn_motions: Vec::new(),
         turn_whitening: Vec::new(),
@@ -497,10 +497,10 @@ fn placing(
     set: &MeasurementSet,
     placed: Vec<(usize, usize, PlacedBy)>,
     (instruments, stations, parameters): (&Instruments, &[Transform], &[ParameterId]),
-    machine: &mut Machine,
+    forward: &mut ForwardModel,
     priors: &mut Vec<Prior>,
     (own_priors, tolerances): (&mut Weights, &mut Weights),
-) -> Result<Vec<(usize, Vec<Row>)>, IdentifyError> {
+) -> Result<Vec<(usize, Vec<PositionRow>)>, IdentifyError> {
     let mut swept = Vec::new();
     for (index, frame, placed_by) in placed {
         let station = &set.stations[index];
@@ -509,7 +509,7 @@ fn placing(
                 // This station is placed by where its axes are in the base: the tolerance of the links up to them is part of that.
                 let carries = |id: ParameterId| matches!(id, ParameterId::Link { link, .. } if link <= place.last_joint);
                 own_priors.extend(tolerances.extract_if(.., |(column, _)| carries(parameters[*column])));
-                swept.push((priors.len(), swept_rows(set, index, &place, machine, (instruments, stations))?));
+                swept.push((priors.len(), swept_rows(set, index, &place, forward, (instruments, stations))?));
                 Prior { columns: Vec::new(), whitening: DMatrix::zeros(0, 0), offset: DVector::zeros(0) }
             }
             PlacedBy::Nests(covariance) => {
@@ -693,14 +693,14 @@ fn stated_actuators(options: &IdentificationOptions) -> Option<MachineNoise> {
 fn rows(
     set: &MeasurementSet,
     unmodelled_sigma: f64,
-    machine: &mut Machine,
-) -> Result<Vec<Row>, IdentifyError> {
+    forward: &mut ForwardModel,
+) -> Result<Vec<PositionRow>, IdentifyError> {
     let row = |observation: &Observation| {
         let pose = observation.pose;
         let unmodelled = Matrix3::identity() * unmodelled_sigma * unmodelled_sigma;
-        Ok(Row {
+        Ok(PositionRow {
             pose,
-            told: machine
+            told: forward
                 .prepare(&observation.into())
                 .map_err(|source| IdentifyError::Machine { pose, source })?,
             seen: observation.reading.position(),

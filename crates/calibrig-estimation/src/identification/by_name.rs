@@ -21,7 +21,7 @@ pub enum ByNameError {
         id: ParameterId,
     },
     /// The parameter is in both lists.
-    #[error("{id} is to be fixed, and to be free")]
+    #[error("{id} is listed both as fixed and as free")]
     Both {
         /// Which parameter.
         id: ParameterId,
@@ -33,7 +33,7 @@ pub enum ByNameError {
         id: ParameterId,
     },
     /// None of the modes can fit the parameter.
-    #[error("{id} can be fitted in none of the modes ({})", .modes.iter().map(|mode| mode.key()).collect::<Vec<_>>().join(", "))]
+    #[error("{id} cannot be fitted in any of the modes ({})", .modes.iter().map(|mode| mode.key()).collect::<Vec<_>>().join(", "))]
     NotFitted {
         /// Which parameter.
         id: ParameterId,

@@ -19,7 +19,7 @@ impl Predictor<'_> {
     /// [`PredictionError`], for a command that does not fit this robot, or a pose that it cannot take.
     pub fn flange<'q>(&mut self, pose: impl Into<PoseQuery<'q>>) -> Result<Transform, PredictionError> {
         self.place_robot(&pose.into())?;
-        Ok(*self.machine.base_from_flange())
+        Ok(*self.forward.base_from_flange())
     }
 
     /// `base_from_flange` at a pose, and how a point of the flange frame (m) moves with every command: 6 x n, its motion in the base's axes (m)
@@ -39,7 +39,7 @@ impl Predictor<'_> {
         self.place_robot(&pose)?;
         let mut motions = Matrix6xX::zeros(pose.command.len());
         self.motions_by_command(&pose, in_flange, true, &mut motions)?;
-        Ok((*self.machine.base_from_flange(), motions))
+        Ok((*self.forward.base_from_flange(), motions))
     }
 
     /// How a point of the flange moves with every command where the robot was placed; with `turned`, also how the flange rotates.
@@ -50,15 +50,15 @@ impl Predictor<'_> {
         turned: bool,
         motions: &mut Matrix6xX<f64>,
     ) -> Result<(), PredictionError> {
-        let told = self.machine.prepare(pose)?;
-        let in_base = self.machine.target(in_flange);
-        self.machine.differentiate(in_flange, &told)?;
-        self.machine.by_command(pose, &in_base, |command, moved| {
+        let told = self.forward.prepare(pose)?;
+        let in_base = self.forward.target(in_flange);
+        self.forward.differentiate(in_flange, &told)?;
+        self.forward.by_command(pose, &in_base, |command, moved| {
             motions.fixed_view_mut::<3, 1>(0, command).copy_from(&moved);
         });
         if turned {
-            self.machine.differentiate_turn(&told)?;
-            self.machine.turn_by_command(pose, |command, turned| {
+            self.forward.differentiate_turn(&told)?;
+            self.forward.turn_by_command(pose, |command, turned| {
                 motions.fixed_view_mut::<3, 1>(3, command).copy_from(&turned);
             });
         }
@@ -80,14 +80,14 @@ impl EstimatePredictor<'_> {
     ) -> Result<Option<Matrix3<f64>>, PredictionError> {
         let pose = pose.into();
         let told = self.predictor.place_robot(&pose)?;
-        let machine = &mut self.predictor.machine;
-        machine.differentiate(in_flange, &told)?;
-        let position = machine.target(in_flange);
+        let forward = &mut self.predictor.forward;
+        forward.differentiate(in_flange, &told)?;
+        let position = forward.target(in_flange);
         let parameters = &self.estimate.parameters;
         let mut jacobian = PositionJacobian::zeros(parameters.len());
         let mut term = 0;
         for (mut column, parameter) in jacobian.column_iter_mut().zip(parameters) {
-            column.copy_from(&in_base_column(machine, parameter.id, OF_NO_TARGET, &position, &mut term));
+            column.copy_from(&in_base_column(forward, parameter.id, OF_NO_TARGET, &position, &mut term));
         }
         let factor = self.estimate.factor.as_ref().filter(|factor| factor.nrows() == parameters.len());
         let motions = self.motions.at(pose.command, in_flange);

@@ -161,7 +161,7 @@ impl fmt::Display for Contradiction {
         }
         match self.or.as_slice() {
             [] => f.write_str(")"),
-            others => write!(f, "; or what was stated of {} is off in its place)", others.join(" or ")),
+            others => write!(f, "; or the value stated for {} is wrong instead)", others.join(" or ")),
         }
     }
 }
@@ -173,7 +173,7 @@ fn rounded(value: f64) -> f64 {
 
 /// Rows that belong together, and their source.
 #[derive(Clone)]
-struct Group {
+struct RowGroup {
     rows: Range<usize>,
     kind: Kind,
 }
@@ -192,7 +192,7 @@ enum Kind {
 struct Family {
     residuals: DVector<f64>,
     covariance: DMatrix<f64>,
-    groups: Vec<Group>,
+    groups: Vec<RowGroup>,
 }
 
 /// A group that does not fit the others.
@@ -212,18 +212,18 @@ struct Outcast {
 /// A group that is too far off in the current system.
 struct Suspect {
     group: usize,
-    block: Block,
+    block: GroupBlock,
     left_out: DVector<f64>,
     chi2: f64,
 }
 
 /// A group's block of the family, inverted where the rest of the system determines it.
-struct Block {
+struct GroupBlock {
     inverse: DMatrix<f64>,
     freedom: usize,
 }
 
-impl Block {
+impl GroupBlock {
     fn of(covariance: &DMatrix<f64>, rows: &Range<usize>) -> Self {
         let n = rows.len();
         let own = covariance.view((rows.start, rows.start), (n, n)).into_owned();
@@ -246,7 +246,7 @@ impl Block {
 impl Family {
     /// Number of groups that the rest of the system can contradict.
     fn tests(&self) -> usize {
-        self.groups.iter().filter(|group| Block::of(&self.covariance, &group.rows).freedom > 0).count()
+        self.groups.iter().filter(|group| GroupBlock::of(&self.covariance, &group.rows).freedom > 0).count()
     }
 
     /// The groups whose residuals are too large at `level` each, the worst first, each tested without those before it.
@@ -315,7 +315,7 @@ impl Family {
     ) -> Vec<Suspect> {
         let test = |group: &usize| {
             let rows = &self.groups[*group].rows;
-            let block = Block::of(covariance, rows);
+            let block = GroupBlock::of(covariance, rows);
             let own = residuals.rows_range(rows.clone());
             let left_out = &block.inverse * own;
             let chi2 = own.dot(&left_out);
@@ -428,7 +428,7 @@ impl<'a> Checks<'a> {
     fn describe(&self, family: &Family, outcast: &Outcast) -> Contradiction {
         // A rival has its own size; only its name is reported.
         let name = |rival: &usize| {
-            let Group { rows, kind } = &family.groups[*rival];
+            let RowGroup { rows, kind } = &family.groups[*rival];
             let n = rows.len();
             self.stated(kind, &DVector::zeros(n), &DMatrix::identity(n, n)).name()
         };
@@ -491,7 +491,7 @@ impl<'a> Checks<'a> {
             }
             Kind::Nest(station, nest) => {
                 let system = self.nests.iter().find_map(|(system, family)| {
-                    let is_own = |group: &Group| matches!(group.kind, Kind::Nest(s, _) if s == station);
+                    let is_own = |group: &RowGroup| matches!(group.kind, Kind::Nest(s, _) if s == station);
                     family.groups.iter().any(is_own).then_some(system)
                 });
                 let own = system.and_then(|system| system.nests.get(nest));
@@ -615,7 +615,7 @@ fn priors(
         if columns.iter().any(|column| bounded.contains(column)) {
             return;
         }
-        groups.push(Group { rows: rows.len()..rows.len() + count, kind });
+        groups.push(RowGroup { rows: rows.len()..rows.len() + count, kind });
         rows.extend(first..first + count);
     };
     for (index, prior) in problem.priors.iter().enumerate() {
@@ -653,7 +653,7 @@ fn of_nests(system: &NestSystem, station: &Station, index: usize) -> Option<Fami
     let group = |(nest, own): (usize, &WhitenedNest)| {
         let rows = first..first + own.whitening.nrows();
         first = rows.end;
-        Group { rows, kind: Kind::Nest(index, nest) }
+        RowGroup { rows, kind: Kind::Nest(index, nest) }
     };
     let groups = system.nests.iter().enumerate().map(group).collect();
     Some(Family {

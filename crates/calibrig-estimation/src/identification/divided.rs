@@ -116,10 +116,10 @@ pub(super) fn divided(
 fn look(problem: &mut CalibrationProblem, x: &[f64]) -> Option<Vec<Seen>> {
     problem.set(x);
     let now = &mut problem.current;
-    let see = |row: &super::problem::Row| {
-        now.machine.place(&row.told).ok()?;
-        let in_base = now.machine.target(&now.targets[row.target]);
-        let column = |axis| now.machine.column(ParameterId::Target { target: row.target, axis }, &in_base);
+    let see = |row: &super::problem::PositionRow| {
+        now.forward.place(&row.told).ok()?;
+        let in_base = now.forward.target(&now.targets[row.target]);
+        let column = |axis| now.forward.column(ParameterId::Target { target: row.target, axis }, &in_base);
         let station = &now.stations[row.station];
         let axes = station.rotation.matrix() * Matrix3::from_columns(&[column(0), column(1), column(2)]);
         let predicted = station.rotation * in_base + station.translation.vector;

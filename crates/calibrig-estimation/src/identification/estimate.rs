@@ -72,8 +72,8 @@ impl TerminationReason {
         match self {
             Self::SmallGradient | Self::SmallStep | Self::SmallDecrease => "",
             Self::IterationLimit => {
-                "Allow more iterations (--max-iterations; max_iterations in a scenario); where that does not help, look at the weak \
-                 directions: state the tool's offset, fix the parameters that still move, or measure poses that show them"
+                "Allow more iterations (--max-iterations; max_iterations in a scenario); if that does not help, look at the \
+                 weak directions: state the tool's offset, fix the parameters that still move, or measure poses that show them"
             }
             Self::NoDecrease | Self::NotFinite => {
                 "Look for gross errors and wrong units in the measurements and in the robot's table; then at the weak directions: state the \
@@ -134,7 +134,7 @@ pub enum NoiseScale {
 pub enum Assumption {
     /// Only the measurements of the robot place the tracker.
     #[error(
-        "station {station}: nothing places it beforehand ({nests} base nests, three are needed); its place is identified"
+        "station {station}: not placed beforehand ({nests} base nests, three are needed); its place is identified"
     )]
     StationFree {
         /// Name of the station.
@@ -162,7 +162,7 @@ pub enum Assumption {
         nests: usize,
     },
     /// Nothing is known of a target's offset; it is identified.
-    #[error("target {target}: no uncertainty of its offset is stated; it is identified")]
+    #[error("target {target}: no uncertainty of its offset is stated, so it is identified")]
     TargetFree {
         /// Name of the target.
         target: String,
@@ -177,7 +177,7 @@ pub enum Assumption {
     },
     /// Errors that an instrument's readings share were stated, and are identified.
     #[error(
-        "tracker {name}: {errors} errors that its readings share are identified, with what is stated of them as a prior"
+        "tracker {name}: {errors} errors shared by its readings are identified, with the stated values as a prior"
     )]
     InstrumentStated {
         /// Name of the instrument.
@@ -187,7 +187,7 @@ pub enum Assumption {
     },
     /// Stated errors that an instrument's readings share are ignored.
     #[error(
-        "tracker {name}: what is stated of the errors that its readings share is ignored; the intervals do not contain them"
+        "tracker {name}: the stated errors shared by its readings are ignored; the intervals do not include them"
     )]
     InstrumentIgnored {
         /// Name of the instrument.
@@ -197,10 +197,10 @@ pub enum Assumption {
     #[error("links: within +- {:.1} mm and +- {:.1} mrad of their nominal values (standard deviations of a prior)", 1e3 * .0.length, 1e3 * .0.angle)]
     LinksWithin(Tolerance),
     /// The machine has errors of single poses beside its model.
-    #[error("machine: errors of single poses beside the model, {}", noise_in_words(.0))]
+    #[error("machine: random errors from pose to pose that the model does not hold, {}", noise_in_words(.0))]
     NoiseOfMachine(MachineNoise),
     /// Readings scatter by more than they state.
-    #[error("noise: readings by themselves {scale:.2} times what they state, found with the fit")]
+    #[error("noise: the readings' own noise is {scale:.2} times what they state, found with the fit")]
     NoiseOfReadings {
         /// Found over stated standard deviation of a reading.
         #[serde(with = "calibrig_model::float::scalar")]
@@ -208,12 +208,13 @@ pub enum Assumption {
     },
     /// Compliances are fitted, and no uncertainty of the masses that load them is stated.
     #[error(
-        "masses and centres of gravity: taken as exact, as no uncertainty of them is stated; the standard deviations of the compliances do \
-         not contain theirs (mass_percent and centre_mm in the robot's file, or --mass-percent and --centre-mm)"
+        "masses and centres of gravity: taken as exact, because no uncertainty of them is stated; the standard deviations of \
+         the compliances do not include theirs (mass_percent and centre_mm in the robot's file, or --mass-percent and \
+         --centre-mm)"
     )]
     BodiesExact,
     /// Nothing is known of how a target is turned on the flange; it is identified.
-    #[error("target {target}: no uncertainty of its orientation is stated; it is identified")]
+    #[error("target {target}: no uncertainty of its orientation is stated, so it is identified")]
     OrientationFree {
         /// Name of the target.
         target: String,
@@ -227,7 +228,7 @@ pub enum Assumption {
         sigma: f64,
     },
     /// Orientations scatter by more than their readings state, or the readings state nothing.
-    #[error("orientations: beside what readings state, {:.3} mrad about each axis, found with the fit", 1e3 * sigma)]
+    #[error("orientations: in addition to what readings state, {:.3} mrad about each axis, found with the fit", 1e3 * sigma)]
     NoiseOfOrientations {
         /// Additional standard deviation about each axis, rad.
         #[serde(with = "calibrig_model::float::scalar")]
@@ -235,14 +236,15 @@ pub enum Assumption {
     },
     /// The uncertainty of masses and centres was stated, and is a prior.
     #[error(
-        "masses and centres of gravity: their stated uncertainty is a prior, and is in the standard deviations of the compliances"
+        "masses and centres of gravity: their stated uncertainty is a prior, and is included in the standard deviations of \
+         the compliances"
     )]
     BodiesStated,
     /// Nothing is known of the stiffnesses.
-    #[error("stiffnesses: unknown; each is taken within a factor of {:.0} of the stated one (standard deviation of a prior)", UNKNOWN_STIFFNESS.exp())]
+    #[error("stiffnesses: unknown; each is assumed within a factor of {:.0} of the stated one (standard deviation of a prior)", UNKNOWN_STIFFNESS.exp())]
     StiffnessUnknown,
     /// The readings state no covariance.
-    #[error("noise: the readings state none; it is taken from the residuals, {:.3} mm a coordinate", 1e3 * sigma)]
+    #[error("noise: the readings state none; it is taken from the residuals, {:.3} mm per coordinate", 1e3 * sigma)]
     NoiseOfResiduals {
         /// Standard deviation of one coordinate, m.
         #[serde(with = "calibrig_model::float::scalar")]
@@ -293,12 +295,13 @@ impl LeftOutReason {
     /// The reason in words, without figures.
     pub fn words(self) -> &'static str {
         match self {
-            Self::Unloaded { .. } => "gravity hardly loads it in these poses, or loads it always alike",
+            Self::Unloaded { .. } => "gravity hardly loads it in these poses, or always loads it alike",
             Self::NoBasis => {
-                "nothing that was measured has what it acts on, such as an approach, a time or a motion of its joint"
+                "it has no effect on any measurement, which would need, for example, an approach, a time or a motion of its \
+                 joint"
             }
-            Self::Redundant => "the measurements cannot tell it from others",
-            Self::ByName => "fixed by its name, at the nominal, stated or predicted value",
+            Self::Redundant => "the measurements cannot distinguish it from others",
+            Self::ByName => "fixed by name, at the nominal, stated or predicted value",
         }
     }
 }
@@ -311,7 +314,7 @@ impl fmt::Display for LeftOutReason {
             Self::Unloaded { effect } => {
                 write!(
                     f,
-                    ": what its prior leaves open moves all measurements together by {effect:.2} of their noise"
+                    ": the uncertainty that its prior leaves moves all measurements together by {effect:.2} of their noise"
                 )
             }
             Self::NoBasis | Self::Redundant | Self::ByName => Ok(()),
@@ -328,7 +331,7 @@ pub enum Warning {
     #[error("not converged: {} ({}). {}", .0.key(), .0.words(), .0.advice())]
     NotConverged(TerminationReason),
     /// Not all parameters can be determined.
-    #[error("rank {rank} of {parameters} parameters: {} cannot be told apart", .groups.join("; "))]
+    #[error("rank {rank} of {parameters} parameters: {} cannot be distinguished", .groups.join("; "))]
     RankDeficient {
         /// Numerical rank.
         rank: usize,
@@ -347,21 +350,23 @@ pub enum Warning {
     },
     /// Parameters rest on their priors.
     #[error(
-        "the measurements alone cannot tell {} from others: what is printed of them is their prior's", .groups.join("; ")
+        "the measurements alone cannot distinguish {} from others: the values printed are those of their priors", .groups.join("; ")
     )]
     HeldByPrior {
         /// Groups of parameters that depend on each other, by name.
         groups: Vec<String>,
     },
     /// Parameters are left out of the fit.
-    #[error("left at the nominal value, because the measurements cannot tell them from others: {}", .groups.join("; "))]
+    #[error("left at the nominal value, because the measurements cannot distinguish them from others: {}", .groups.join("; "))]
     Fixed {
         /// Groups of parameters that depend on each other, by name.
         groups: Vec<String>,
     },
     /// A compliance that was asked for is hardly loaded.
     #[error(
-        "gravity hardly loads {name} in these poses, or loads it always alike: its value is its prior's. Leave it out, or measure poses, or payloads at the flange (payload_mass_kg or [[payload]] of a column map, [[payload]] of a scenario), that load it differently"
+        "gravity hardly loads {name} in these poses, or always loads it alike: its value is that of its prior. Leave it out, \
+         or measure poses, or payloads at the flange (payload_mass_kg or [[payload]] of a column map, [[payload]] of a \
+         scenario), that load it differently"
     )]
     Unexcited {
         /// Name of the parameter.
@@ -369,8 +374,8 @@ pub enum Warning {
     },
     /// The flange carries loads, but the robot's model does not yield.
     #[error(
-        "poses carry payloads ({}), and the model has nothing that yields: they are not used. Where the robot's stiffnesses are known, or are \
-         to be found, state them in its file", .payloads.join(", ")
+        "poses carry payloads ({}), but the model has nothing that deflects, so they are not used. If the robot's stiffnesses \
+         are known, or are to be identified, state them in its file", .payloads.join(", ")
     )]
     IdlePayloads {
         /// Names of the payloads.
@@ -378,8 +383,8 @@ pub enum Warning {
     },
     /// A parameter ended at its bound.
     #[error(
-        "{name} ended at its bound {}: the measurements ask for a value beyond it, so that the bound or its nominal value is off, or the \
-         model lacks something", shown(*.unit, *.bound)
+        "{name} ended at its bound {}: the measurements ask for a value beyond it, so the bound or the nominal value is \
+         wrong, or the model lacks something", shown(*.unit, *.bound)
     )]
     AtBound {
         /// Name of the parameter.
@@ -391,7 +396,7 @@ pub enum Warning {
     },
     /// A bound was stated for a parameter that is not fitted.
     #[error(
-        "the bound of {bound} has no effect: the measurements do not show that parameter, and it was left out of the fit"
+        "the bound of {bound} has no effect: the measurements do not determine that parameter, so it was left out of the fit"
     )]
     UnusedBound {
         /// The bound without effect.
@@ -399,32 +404,34 @@ pub enum Warning {
     },
     /// Priors do not fit the measurements, or nests do not fit each other.
     #[error(
-        "the measurements contradict what was stated of {}. Check these values and their standard deviations; where they are certain, the \
-         model lacks what would have to give way instead (tested at a level of {} % for all that was stated){}",
+        "the measurements contradict what was stated about {}. Check these values and their standard deviations; if they are \
+         certain, the model lacks something (tested at a level of {} % for all stated values){}",
         in_words(.0), 1e2 * CONTRADICTION_LEVEL, softer(.0)
     )]
     Contradicted(Vec<Contradiction>),
     /// The measurements of the robot put a station elsewhere than its nests do.
     #[error(
-        "the measurements contradict {0}: the tracker moved against the base after they were measured, or the model lacks something \
-         that a shift of the base stands in for"
+        "the measurements contradict {0}: the tracker moved against the base after they were measured, or the model lacks \
+         something that a shift of the base makes up for"
     )]
     Moved(Contradiction),
     /// A compliance ended at zero.
     #[error(
-        "{name} ended at its bound -1: no compliance can be seen there, rigid fits best, which may hide what the model lacks"
+        "{name} ended at its bound -1: a rigid one fits best, so no compliance is visible there, or an error of the model \
+         hides it"
     )]
     Rigid {
         /// Name of the parameter.
         name: String,
     },
     /// Some observations are far off the others.
-    #[error("far off what the others say: {}{}", in_poses(.0), if Outlier::are_a_reason(.0) { COUNTED } else { "" })]
+    #[error("far from what the others say: {}{}", in_poses(.0), if Outlier::are_a_reason(.0) { COUNTED } else { "" })]
     Outliers(Vec<Outlier>),
     /// The identified robot does not fit the points.
     #[error(
-        "the identified robot leaves an RMS of {:.3} mm, {:.0} % of the spread of the points ({:.0} mm): it does not lie on them, and the \
-         standard deviations mean nothing. Check the joints' columns, the targets' names and the order of the rows",
+        "the identified robot leaves an RMS of {:.3} mm, {:.0} % of the spread of the points ({:.0} mm): it does not fit \
+         them, and the standard deviations mean nothing. Check the joints' columns, the targets' names and the order of the \
+         rows",
         1e3 * rms, 1e2 * rms / spread, 1e3 * spread
     )]
     OffThePoints {
@@ -437,8 +444,9 @@ pub enum Warning {
     },
     /// The identified orientations are far off the measured ones.
     #[error(
-        "orientations are off by {:.0} mrad about each axis, more than any robot's: the convention of the rotations is hardly the one that is stated. \
-         Check the form, the order or sequence, and which way the transform goes ([rotation] of the column map)",
+        "orientations are off by {:.0} mrad about each axis, more than those of any robot: the stated convention of the \
+         rotations is probably wrong. Check the form, the order or sequence, and the direction of the transform ([rotation] \
+         of the column map)",
         1e3 * sigma
     )]
     OrientationsOff {
@@ -448,8 +456,9 @@ pub enum Warning {
     },
     /// The readings of several targets have the same name.
     #[error(
-        "the readings of {} are of {targets} targets {:.3} mm apart, or the last joint has that much play: with an offset for each of them the residuals fall from {:.3} to {:.3} mm \
-         RMS. Name the target of every row (a column of the file, or a file a target)",
+        "the readings of {} are of {targets} targets {:.3} mm apart, or the last joint has that much play: with a separate \
+         offset for each, the residuals fall from {:.3} to {:.3} mm RMS. Name the target of every row (in a column of the \
+         file, or with one file per target)",
         called("target", .target), 1e3 * apart, 1e3 * rms[0], 1e3 * rms[1]
     )]
     SeveralTargets {
@@ -464,8 +473,9 @@ pub enum Warning {
     },
     /// A station was moved between its readings.
     #[error(
-        "{}, the robot's base or the zero of its first joint was moved between poses {} and {}, which moved the points by {:.3} mm: with two places of the \
-         station the residuals fall from {:.3} to {:.3} mm RMS. Give what was measured behind it a station of its own",
+        "{}, the robot's base or the zero of its first joint was moved between poses {} and {}, which moved the points by \
+         {:.3} mm: with two places of the station the residuals fall from {:.3} to {:.3} mm RMS. Give the measurements after \
+         the move a separate station",
         called("station", .station), poses[0], poses[1], 1e3 * by, 1e3 * rms[0], 1e3 * rms[1]
     )]
     StationMoved {
@@ -480,8 +490,8 @@ pub enum Warning {
     },
     /// Too few readings to test their stated noise.
     #[error(
-        "fewer degrees of freedom remain than one ({freedom:.2}): the parameters take all that was measured, and whether the stated noise is \
-         right cannot be told. Measure more poses"
+        "less than one degree of freedom remains ({freedom:.2}): the parameters absorb all measurements, so the stated noise \
+         cannot be checked. Measure more poses"
     )]
     Untested {
         /// Effective degrees of freedom of the residuals.
@@ -496,7 +506,7 @@ pub enum Warning {
     /// The residuals are larger than the stated noise explains.
     #[error(
         "the residuals are {ratio:.1} times what the stated noise explains: the model lacks something{}",
-        if *.accounted { "; the standard deviations include it, as errors of single poses" } else { ", and the standard deviations do not include it" }
+        if *.accounted { "; the standard deviations include it, as random errors from pose to pose" } else { ", and the standard deviations do not include it" }
     )]
     Inconsistent {
         /// Square root of chi-square per degree of freedom.
@@ -506,7 +516,8 @@ pub enum Warning {
     },
     /// Readings of the same pose scatter by more than they state.
     #[error(
-        "the readings of one pose scatter among themselves {ratio:.1} times as much as they state: state their noise as it is; the standard deviations include it"
+        "the readings of one pose scatter among themselves {ratio:.1} times as much as they state: state their real noise; \
+         the standard deviations include it"
     )]
     Understated {
         /// Found over stated standard deviation, gross errors aside.
@@ -514,9 +525,9 @@ pub enum Warning {
     },
     /// Too few readings to estimate their noise.
     #[error(
-        "no degrees of freedom remain: the parameters take all that was measured, and the residuals say nothing of the noise. It is taken to be \
-         {:.3} mm a coordinate, which is all that the nominal robot leaves and the most that it can be: measure more poses, or state the noise of \
-         the readings", 1e3 * sigma
+        "no degrees of freedom remain: the parameters absorb all measurements, so the residuals say nothing about the noise. \
+         It is assumed to be {:.3} mm per coordinate, all that the nominal robot leaves and the most that it can be: measure \
+         more poses, or state the noise of the readings", 1e3 * sigma
     )]
     NoFreedom {
         /// Standard deviation of one coordinate, m.
@@ -524,7 +535,8 @@ pub enum Warning {
     },
     /// The residuals are smaller than the stated noise predicts.
     #[error(
-        "the residuals are {ratio:.2} times what the stated noise leaves: it is stated too large, and the standard deviations are wider than they need to be"
+        "the residuals are {ratio:.2} times what the stated noise leaves: the noise is stated too large, and the standard \
+         deviations are wider than necessary"
     )]
     Overstated {
         /// Square root of chi-square per degree of freedom.
@@ -547,7 +559,7 @@ fn noise_in_words(noise: &MachineNoise) -> String {
     let actuators: Vec<_> = actuators.map(|(j, sigma)| format!("J{} {}", j + 1, shown(*sigma))).collect();
     let place = match noise.position {
         0.0 => "no displacement of the flange".to_owned(),
-        sigma => format!("{:.3} mm an axis at the flange", 1e3 * sigma),
+        sigma => format!("{:.3} mm per axis at the flange", 1e3 * sigma),
     };
     match actuators.as_slice() {
         [] => format!("{place}; the data show none of the actuators"),
@@ -565,7 +577,7 @@ fn softer(contradictions: &[Contradiction]) -> String {
         Stated::Parameter { id: id @ ParameterId::Compliance(_), found, prior_sigma, .. } if found > 0.0 => {
             let about = |ratio: f64| format!("{ratio:.1e}").parse().unwrap_or(ratio);
             let (asked, allowed) = (about(1.0 + found), about(1.0 + prior_sigma));
-            Some(format!("{id} about {asked} times the stated one, where the prior allows {allowed} times"))
+            Some(format!("{id} about {asked} times the stated one, but the prior allows {allowed} times"))
         }
         _ => None,
     };
@@ -574,14 +586,15 @@ fn softer(contradictions: &[Contradiction]) -> String {
         return String::new();
     }
     format!(
-        ". The data ask for far softer drives than the prior allows: {}. If the stiffness is not known, say so: compliance_percent = \
-         \"unknown\" in the robot's file, or --compliance-percent unknown",
+        ". The data ask for much softer drives than the prior allows: {}. If the stiffness is not known, say so: \
+         compliance_percent = \"unknown\" in the robot's file, or --compliance-percent unknown",
         softer.join("; ")
     )
 }
 
 /// Advice where they count in the fit.
-const COUNTED: &str = ". They count in the fit as they are: look at these readings and leave out what is wrong with them, or use a robust loss (`--loss tukey`)";
+const COUNTED: &str = ". They have full weight in the fit: check these readings and leave out what is wrong, or use a robust \
+                       loss (`--loss tukey`)";
 /// Number of standard deviations beyond which an observation is no longer a tail of what a machine does.
 const CERTAIN: f64 = 10.0;
 /// Up to this many smaller gross errors are not a reason.

@@ -6,7 +6,6 @@ use thiserror::Error;
 use super::build::{Built, build, reconsider};
 use super::factorised::Factorised;
 use super::limits::limits;
-use super::machine::MachineError;
 use super::noise::{Noise, UNSTATED_SIGMA, Unknown, find, is_without_freedom};
 use super::place::best_fit_stations;
 use super::problem::CalibrationProblem;
@@ -18,6 +17,7 @@ use super::{
     TargetChoice, minimise, minimise_within,
 };
 use crate::circle_points::SweepError;
+use crate::elastostatics::ElasticError;
 use calibrig_model::measurement::{MeasurementError, MeasurementSet, RegistrationError, Target};
 use calibrig_model::{CalibrationModel, ModelError, ParameterId, Unit};
 
@@ -70,13 +70,13 @@ pub enum IdentifyError {
         expected: &'static str,
     },
     /// The mode needs masses, stiffnesses and gravity, and the model has none.
-    #[error("\"{}\" needs masses, stiffnesses and gravity, and the robot's files give none", .mode.title())]
+    #[error("\"{}\" needs masses, stiffnesses and gravity, but the robot's files do not give them", .mode.title())]
     NoStatics {
         /// The mode.
         mode: Mode,
     },
     /// A listed compliance is not in the robot's model, or is rigid there.
-    #[error("{name}: the robot's files give no finite stiffness there, so that there is none to identify")]
+    #[error("{name}: the robot's files give no finite stiffness there, so it cannot be identified")]
     RigidOrUnknown {
         /// Its name.
         name: String,
@@ -102,12 +102,12 @@ pub enum IdentifyError {
         key: String,
     },
     /// The nominal robot cannot take a pose: its linkage does not close, or it has no stable equilibrium.
-    #[error("pose {pose}: the nominal robot cannot take it: {source}")]
+    #[error("pose {pose}: the nominal robot cannot reach it: {source}")]
     Machine {
         /// Number of the pose.
         pose: u32,
         /// Why.
-        source: MachineError,
+        source: ElasticError,
     },
     /// A listed parameter is not a parameter of the robot.
     #[error("{name} is not a parameter of this robot")]

@@ -33,7 +33,7 @@ pub fn information_at(
     let parameters: Vec<_> = estimate.parameters.iter().map(|p| p.id).collect();
     if values.len() != parameters.len() {
         let (field, value) = ("the number of values", values.len() as f64);
-        return Err(IdentifyError::Number { field, value, expected: "one a parameter of the estimate" });
+        return Err(IdentifyError::Number { field, value, expected: "one per parameter of the estimate" });
     }
     let system = linearise_at(model, set, options, estimate, values)?;
     let (rows, measured) = (system.jacobian.nrows(), system.measured_rows);

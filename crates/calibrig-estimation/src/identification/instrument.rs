@@ -7,7 +7,7 @@ use nalgebra::{DMatrix, DVector, Vector3};
 
 use super::factor::triangular_factor_of_all;
 use super::options::InstrumentChoice;
-use super::problem::{Prior, Row};
+use super::problem::{PositionRow, Prior};
 use super::robot::{InstrumentErrors, drift_displacement};
 use super::{IdentificationOptions, IdentifyError, Mode};
 use calibrig_model::ParameterId;
@@ -89,7 +89,7 @@ impl Instruments {
     /// Adds the instruments' columns to the rows of observations.
     pub fn add_to<'a>(
         &self,
-        rows: &mut [Row],
+        rows: &mut [PositionRow],
         observations: impl Iterator<Item = &'a Observation>,
         set: &MeasurementSet,
         places: &[Transform],

@@ -40,7 +40,7 @@ pub enum ParameterBoundError {
         id: ParameterId,
     },
     /// The interval between the limits is empty or a single value.
-    #[error("the bound of {id} ends at {}, not above its begin at {}", shown(.id.unit(), *.upper), shown(.id.unit(), *.lower))]
+    #[error("the bound of {id} ends at {}, which is not above its start at {}", shown(.id.unit(), *.upper), shown(.id.unit(), *.lower))]
     Empty {
         /// Parameter of the bound.
         id: ParameterId,
@@ -70,13 +70,13 @@ pub enum ParameterBoundError {
         id: ParameterId,
     },
     /// The reference of the tracker's place is only found by the fit.
-    #[error("{id} counts from where the nominal robot fits the measurements best")]
+    #[error("{id} is relative to the best fit of the nominal robot to the measurements")]
     NoReference {
         /// Parameter of the bound.
         id: ParameterId,
     },
     /// None of the modes fits the parameter.
-    #[error("{id} is fitted in none of the modes ({})", keys(.modes))]
+    #[error("{id} is not fitted in any of the modes ({})", keys(.modes))]
     NotFitted {
         /// Parameter of the bound.
         id: ParameterId,
@@ -94,20 +94,22 @@ impl ParameterBoundError {
             Self::NotANumber { .. } => "expected finite numbers, or an open end".to_owned(),
             Self::Open { .. } => "expected a lower or an upper limit, or both".to_owned(),
             Self::Empty { .. } => {
-                "expected an upper limit above the lower one; what shall stay at its nominal value is left out of the parameters instead"
+                "expected an upper limit above the lower one; to keep a parameter at its nominal value, leave it out of the \
+                 parameters"
                     .to_owned()
             }
             Self::BelowNone { .. } => {
-                "expected -1 or more: -1 is none at all, 0 the predicted or stated value".to_owned()
+                "expected -1 or more: -1 is no compliance or mass at all, 0 the predicted or stated value".to_owned()
             }
             Self::ExcludesStart { bound } => format!(
-                "expected limits with 0 between them or on one of them: they are on the deviation from the {} value; where that is known \
-                 to be off, correct it in the file that states it, and bound what is left",
+                "expected limits with 0 between them or on one of them: they limit the deviation from the {} value; if that \
+                 value is known to be wrong, correct it in the file that states it, and bound the rest",
                 origin(bound.id)
             ),
-            Self::Twice { .. } => "expected one bound a parameter, with both limits in it".to_owned(),
+            Self::Twice { .. } => "expected one bound per parameter, with both limits in it".to_owned(),
             Self::NoReference { .. } => {
-                "expected a bound of the robot's parameters: that place is not known beforehand, so that nothing can be stated from it"
+                "expected a bound of the robot's parameters: that place is not known beforehand, so no limits relative to it \
+                 can be stated"
                     .to_owned()
             }
             Self::NotFitted { known, .. } => {

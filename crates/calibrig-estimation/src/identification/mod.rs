@@ -11,6 +11,7 @@ mod estimate;
 mod factor;
 mod factorised;
 mod foresight;
+mod forward_model;
 mod gross;
 mod identifiability;
 mod identify;
@@ -18,7 +19,6 @@ mod information;
 mod instrument;
 mod limits;
 mod linearisation;
-mod machine;
 mod mode;
 mod noise;
 mod options;
@@ -64,7 +64,6 @@ pub use limits::{ParameterBound, ParameterBoundError, RefusedBound, check_bounds
 pub use linearisation::{
     Linearisation, PredictedReading, Whitening, linearise, predict_places, predict_readings,
 };
-pub use machine::MachineError;
 pub use mode::Mode;
 pub use noise::{MachineNoise, MachineNoiseChoice};
 pub use options::{

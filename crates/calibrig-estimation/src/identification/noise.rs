@@ -11,13 +11,13 @@ use serde::{Deserialize, Serialize};
 
 use super::contradiction::Minimum;
 use super::factorised::Factorised;
-use super::problem::{CalibrationProblem, Row};
+use super::problem::{CalibrationProblem, PositionRow};
 use super::shared::with_errors;
 use super::solver::Solution;
 use super::summary::Size;
 use super::variance::{Block, Components, System};
 use super::{IdentificationOptions, IdentifyError, LeastSquares, Redundancy};
-use crate::kinematics::PlacedChain;
+use crate::kinematics::KinematicChain;
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::statistics::chi2_survival;
 use calibrig_model::{CalibrationModel, JointKind, LinkTerm, ParameterId, Payload};
@@ -102,7 +102,7 @@ impl MachineNoise {
 #[derive(Debug, Clone)]
 pub(super) struct ActuatorMotions {
     model: CalibrationModel,
-    chain: PlacedChain,
+    chain: KinematicChain,
     /// Change of the joint variables per unit of every actuator.
     joints: Vec<Vec<f64>>,
 }
@@ -123,7 +123,7 @@ impl ActuatorMotions {
             at(&command).iter().zip(&still).map(|(to, from)| to - from).collect()
         };
         Self {
-            chain: PlacedChain::new(&model.kinematics),
+            chain: KinematicChain::new(&model.kinematics),
             joints: (0..count).map(by).collect(),
             model: model.clone(),
         }
@@ -603,7 +603,7 @@ impl CalibrationProblem {
     fn unweighed(&self, solution: &Solution) -> (nalgebra::DVector<f64>, DMatrix<f64>) {
         let (mut residuals, mut jacobian) = (solution.residuals.clone(), solution.jacobian.clone());
         // Whitening is the inverse of a factor.
-        let factor = |row: &Row| row.whitening.try_inverse().unwrap_or_else(Matrix3::identity);
+        let factor = |row: &PositionRow| row.whitening.try_inverse().unwrap_or_else(Matrix3::identity);
         let factors: Vec<_> = self.rows.iter().map(factor).collect();
         for (i, factor) in factors.iter().enumerate() {
             let own = factor * residuals.fixed_rows::<3>(3 * i);

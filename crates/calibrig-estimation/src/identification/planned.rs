@@ -8,7 +8,8 @@ use super::foresight::at_estimate;
 use super::noise::ActuatorMotions;
 use super::problem::{CalibrationProblem, in_base_column};
 use super::prospect::at_nominal;
-use super::{Estimate, IdentificationOptions, IdentifyError, MachineError, MachineNoise, Tolerance};
+use super::{Estimate, IdentificationOptions, IdentifyError, MachineNoise, Tolerance};
+use crate::elastostatics::ElasticError;
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::statistics::normal_quantile;
 use calibrig_model::{CalibrationModel, ParameterId, PoseQuery, Unit};
@@ -151,18 +152,18 @@ impl PlannedSystem {
     }
 
     /// Position of a target for the parameters `x`. The pose must have one number per joint of the robot, and its target must be one of the system's.
-    pub fn place(&mut self, x: Option<&[f64]>, pose: &PoseQuery<'_>) -> Result<PlannedPlace, MachineError> {
+    pub fn place(&mut self, x: Option<&[f64]>, pose: &PoseQuery<'_>) -> Result<PlannedPlace, ElasticError> {
         let own = self.x.clone();
         self.problem.set(x.unwrap_or(&own));
         let now = &mut self.problem.current;
         let in_flange = now.targets[pose.target];
-        let told = now.machine.place_at(pose)?;
-        now.machine.differentiate(&in_flange, &told)?;
-        let in_base = now.machine.target(&in_flange);
+        let told = now.forward.place_at(pose)?;
+        now.forward.differentiate(&in_flange, &told)?;
+        let in_base = now.forward.target(&in_flange);
         let mut jacobian = DMatrix::zeros(3, self.problem.parameters.len());
         let mut term = 0;
         for (mut column, id) in jacobian.column_iter_mut().zip(&self.problem.parameters) {
-            column.copy_from(&in_base_column(&now.machine, *id, pose.target, &in_base, &mut term));
+            column.copy_from(&in_base_column(&now.forward, *id, pose.target, &in_base, &mut term));
         }
         let motions = self.motions.at(pose.command, &in_flange);
         let of_machine = self.beside.iter().map(|part| part.covariance(&motions)).sum();

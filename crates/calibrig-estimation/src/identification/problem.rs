@@ -3,13 +3,13 @@
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3, Vector6};
 
 use super::LeastSquares;
+use super::forward_model::{ForwardModel, Prepared};
 use super::linearisation::Whitening;
-use super::machine::{Machine, MachineError, Prepared};
 use super::noise::{ActuatorMotions, MachineNoise, Noise};
 use super::shared::SharedWhitening;
 use super::swept::condensed;
 use super::turns::{TurnRow, TurnWhitening};
-use crate::elastostatics::put;
+use crate::elastostatics::{ElasticError, put};
 use calibrig_model::geometry::{Transform, cross_matrix, small_displacement};
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::{CalibrationModel, ParameterId};
@@ -19,7 +19,7 @@ const FEW: usize = 6;
 
 /// One observation, ready for the fit.
 #[derive(Debug, Clone)]
-pub(super) struct Row {
+pub(super) struct PositionRow {
     /// Number of the pose.
     pub pose: u32,
     /// What the robot was told to do.
@@ -56,14 +56,14 @@ pub(super) struct CalibrationProblem {
     pub nominal: CalibrationModel,
     pub parameters: Vec<ParameterId>,
     /// Positions, in blocks of three coordinates: the first rows of the system.
-    pub rows: Vec<Row>,
+    pub rows: Vec<PositionRow>,
     /// Orientations: the next blocks of three rows. `turn_of` has the index of each observation's own.
     pub turns: Vec<TurnRow>,
     pub turn_of: Vec<Option<usize>>,
     /// Priors of nests and targets: the rows after those of the observations.
     pub priors: Vec<Prior>,
     /// Indices of the priors that come from sweeps, with the readings of the sweeps.
-    pub swept: Vec<(usize, Vec<Row>)>,
+    pub swept: Vec<(usize, Vec<PositionRow>)>,
     /// Sum of squares of the residuals of these readings that no parameter changes, at the current parameters.
     pub left_of_swept: f64,
     /// The next rows: (column, one over the standard deviation) of parameters with a prior of their own, except the links' tolerance.
@@ -124,7 +124,7 @@ pub(super) struct Current {
     amplitudes: Vec<f64>,
     /// Errors of the instruments by the parameters' columns; empty where none is a parameter.
     pub(super) errors: Vec<f64>,
-    pub machine: Machine,
+    pub forward: ForwardModel,
 }
 
 /// How a station's frame is displaced.
@@ -146,7 +146,7 @@ impl Current {
     /// Makes the problem; `machine` knows the terms, in the order of their parameters.
     pub fn new(
         nominal: &CalibrationModel,
-        machine: Machine,
+        forward: ForwardModel,
         stations: &[Transform],
         targets: &[Vector3<f64>],
         orientations: &[Rotation3<f64>],
@@ -160,7 +160,7 @@ impl Current {
             displacements: vec![Displacement::new(Vector6::zeros()); stations.len()],
             amplitudes: Vec::new(),
             errors: Vec::new(),
-            machine,
+            forward,
         }
     }
 }
@@ -193,7 +193,7 @@ impl CalibrationProblem {
                 | ParameterId::Linkage(_) => put(&mut now.model, &self.nominal, *id, value),
             }
         }
-        now.machine.set_model(&now.model, now.amplitudes.iter().copied());
+        now.forward.set_model(&now.model, now.amplitudes.iter().copied());
         let turned = self.orientations.iter().zip(&now.turned);
         for (orientation, (origin, turned)) in now.orientations.iter_mut().zip(turned) {
             *orientation =
@@ -273,13 +273,13 @@ impl CalibrationProblem {
     }
 
     /// Why the robot at the current parameters cannot take the pose of an observation: the pose's number, and the reason.
-    pub fn failure(&mut self, index: usize) -> Option<(u32, MachineError)> {
+    pub fn failure(&mut self, index: usize) -> Option<(u32, ElasticError)> {
         let row = &self.rows[index];
         let now = &mut self.current;
-        let placed = now.machine.place(&row.told);
-        let ready = placed.and_then(|()| now.machine.differentiate(&now.targets[row.target], &row.told));
+        let placed = now.forward.place(&row.told);
+        let ready = placed.and_then(|()| now.forward.differentiate(&now.targets[row.target], &row.told));
         let ready = match self.turn_of[index] {
-            Some(_) => ready.and_then(|()| now.machine.differentiate_turn(&row.told)),
+            Some(_) => ready.and_then(|()| now.forward.differentiate_turn(&row.told)),
             None => ready,
         };
         ready.err().map(|error| (row.pose, error))
@@ -287,7 +287,7 @@ impl CalibrationProblem {
 
     /// The map from displacements of the observations' targets in the base frame, m, to standard deviations.
     pub fn whitening(&self) -> Whitening {
-        let of = |row: &Row| row.whitening * self.current.stations[row.station].rotation.matrix();
+        let of = |row: &PositionRow| row.whitening * self.current.stations[row.station].rotation.matrix();
         Whitening {
             single: self.rows.iter().map(of).collect(),
             joined: self.joined.clone(),
@@ -399,22 +399,22 @@ impl Evaluation<'_> {
     /// Fills block `index`, three rows.
     fn fill(
         self,
-        row: &Row,
+        row: &PositionRow,
         index: usize,
         residuals: &mut DVector<f64>,
         jacobian: Option<&mut DMatrix<f64>>,
     ) {
         let now = self.now;
         let target = &now.targets[row.target];
-        let ready = now.machine.place(&row.told).and_then(|()| match jacobian {
-            Some(_) => now.machine.differentiate(target, &row.told),
+        let ready = now.forward.place(&row.told).and_then(|()| match jacobian {
+            Some(_) => now.forward.differentiate(target, &row.told),
             None => Ok(()),
         });
         if ready.is_err() {
             residuals.fixed_rows_mut::<3>(3 * index).fill(f64::NAN);
             return;
         }
-        let in_base = now.machine.target(target);
+        let in_base = now.forward.target(target);
         let tracker_from_base = &now.stations[row.station];
         let mut predicted = tracker_from_base.rotation * in_base + tracker_from_base.translation.vector;
         for (column, displacement) in &row.instrument {
@@ -436,7 +436,7 @@ impl Evaluation<'_> {
                         from_origin * left.column(component - 3).cross(&turned)
                     }
                 }
-                id => from_base * in_base_column(&now.machine, id, row.target, &in_base, &mut term),
+                id => from_base * in_base_column(&now.forward, id, row.target, &in_base, &mut term),
             };
             jacobian.fixed_view_mut::<3, 1>(3 * index, column).copy_from(&derivative);
         }
@@ -506,7 +506,7 @@ pub(super) fn whiten_together(pose: &[usize], whitening: &DMatrix<f64>, columns:
 /// Change of `target` at `in_base` per unit of a parameter, in the base frame; zero for the tracker's place and errors, and for other targets.
 /// `term` counts the terms so far.
 pub(super) fn in_base_column(
-    machine: &Machine,
+    forward: &ForwardModel,
     id: ParameterId,
     target: usize,
     in_base: &Vector3<f64>,
@@ -520,14 +520,14 @@ pub(super) fn in_base_column(
         ParameterId::Target { target: other, .. } if other != target => Vector3::zeros(),
         ParameterId::Term(_) => {
             *term += 1;
-            machine.term_column(*term - 1)
+            forward.term_column(*term - 1)
         }
         ParameterId::Target { .. }
         | ParameterId::Link { .. }
         | ParameterId::Compliance(_)
         | ParameterId::Mass { .. }
         | ParameterId::Centre { .. }
-        | ParameterId::Linkage(_) => machine.column(id, in_base),
+        | ParameterId::Linkage(_) => forward.column(id, in_base),
     }
 }
 

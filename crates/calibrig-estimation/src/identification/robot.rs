@@ -4,11 +4,12 @@ use nalgebra::{Matrix3, Rotation3, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::machine::{Machine, MachineError, Prepared};
+use super::forward_model::{ForwardModel, Prepared};
 use super::noise::{ActuatorMotions, MachineNoise};
 use super::problem::{in_base_column, left_jacobian};
 use super::turns::turn_column;
 use super::{Estimate, Mode, PositionJacobian};
+use crate::elastostatics::ElasticError;
 use calibrig_model::geometry::{Transform, rotation_vector};
 use calibrig_model::measurement::{DRIFT_UNIT, InstrumentTerm, MeasurementSet, Observation, Reading};
 use calibrig_model::{CalibrationModel, Compliance, ModelError, ParameterId, PoseQuery, TermId};
@@ -131,7 +132,7 @@ pub enum PredictionError {
     #[error(transparent)]
     Model(#[from] ModelError),
     /// The robot does not carry this target.
-    #[error("target index {target}: the robot carries {targets}")]
+    #[error("target index {target}: the robot has {targets} targets")]
     Target {
         /// Index that was asked for.
         target: usize,
@@ -139,7 +140,7 @@ pub enum PredictionError {
         targets: usize,
     },
     /// The robot was not identified from this station.
-    #[error("station index {station}: the robot was identified from {stations}")]
+    #[error("station index {station}: the robot was identified from {stations} stations")]
     Station {
         /// Index that was asked for.
         station: usize,
@@ -148,7 +149,7 @@ pub enum PredictionError {
     },
     /// The linkage does not close, or the robot has no stable equilibrium.
     #[error(transparent)]
-    Machine(#[from] MachineError),
+    Machine(#[from] ElasticError),
     /// A measured pose cannot be predicted.
     #[error("pose {pose}: {source}")]
     Pose {
@@ -163,7 +164,7 @@ pub enum PredictionError {
 #[derive(Debug, Clone)]
 pub struct Predictor<'a> {
     pub(crate) robot: &'a CalibratedRobot,
-    pub(super) machine: Machine,
+    pub(super) forward: ForwardModel,
 }
 
 impl<'a> Predictor<'a> {
@@ -181,21 +182,21 @@ impl<'a> Predictor<'a> {
                 );
             }
         }
-        let mut machine = Machine::new(robot.mode, &robot.nominal);
-        machine.fits(&robot.model)?;
+        let mut forward = ForwardModel::new(robot.mode, &robot.nominal);
+        forward.fits(&robot.model)?;
         let joints = robot.nominal.kinematics.joint_count();
         if let Some((term, _)) = robot.terms.iter().find(|(term, _)| term.joint() >= joints) {
             return Err(ModelError::Parameter { id: ParameterId::Term(*term) }.into());
         }
-        machine.set_terms(robot.terms.iter().map(|(id, _)| *id));
-        machine.set_model(&robot.model, robot.terms.iter().map(|(_, amplitude)| *amplitude));
-        Ok(Self { robot, machine })
+        forward.set_terms(robot.terms.iter().map(|(id, _)| *id));
+        forward.set_model(&robot.model, robot.terms.iter().map(|(_, amplitude)| *amplitude));
+        Ok(Self { robot, forward })
     }
 
     /// Predicted position of the target in the base frame, m.
     pub fn in_base<'q>(&mut self, pose: impl Into<PoseQuery<'q>>) -> Result<Vector3<f64>, PredictionError> {
         let (target, _) = self.place(&pose.into())?;
-        Ok(self.machine.target(&target))
+        Ok(self.forward.target(&target))
     }
 
     /// Measured minus predicted position in the base frame, m: the error of the tables.
@@ -221,7 +222,7 @@ impl<'a> Predictor<'a> {
         let pose = pose.into();
         self.place(&pose)?;
         let mounted = self.robot.orientations.get(pose.target).copied().flatten();
-        Ok(mounted.map(|flange_from_target| self.machine.rotation() * flange_from_target))
+        Ok(mounted.map(|flange_from_target| self.forward.rotation() * flange_from_target))
     }
 
     /// Measured against predicted orientation: φ with `exp(φ) · predicted = measured`, in the axes of the base frame, rad. `None` for a reading
@@ -254,7 +255,7 @@ impl<'a> Predictor<'a> {
     /// `base_from_link` of every link at the pose.
     pub fn links<'q>(&mut self, pose: impl Into<PoseQuery<'q>>) -> Result<Vec<Transform>, PredictionError> {
         let (_, told) = self.place(&pose.into())?;
-        Ok(self.machine.links(&told, &self.robot.model.kinematics))
+        Ok(self.forward.links(&told, &self.robot.model.kinematics))
     }
 
     /// Moves the robot to a pose; returns the offset of its target.
@@ -274,7 +275,7 @@ impl<'a> Predictor<'a> {
         if found != 0 && found != expected {
             return Err(ModelError::Length { field: "approach", found, expected }.into());
         }
-        Ok(self.machine.place_at(pose)?)
+        Ok(self.forward.place_at(pose)?)
     }
 }
 
@@ -373,14 +374,14 @@ impl EstimatePredictor<'_> {
     /// Not generic: a generic function is compiled in the caller's crate, with the caller's optimisation.
     fn predict_at(&mut self, pose: &PoseQuery<'_>) -> Result<Prediction, PredictionError> {
         let (target, told) = self.predictor.place(pose)?;
-        let machine = &mut self.predictor.machine;
-        machine.differentiate(&target, &told)?;
-        let position = machine.target(&target);
+        let forward = &mut self.predictor.forward;
+        forward.differentiate(&target, &told)?;
+        let position = forward.target(&target);
         let parameters = &self.estimate.parameters;
         let mut jacobian = PositionJacobian::zeros(parameters.len());
         let mut term = 0;
         for (mut column, parameter) in jacobian.column_iter_mut().zip(parameters) {
-            column.copy_from(&in_base_column(machine, parameter.id, pose.target, &position, &mut term));
+            column.copy_from(&in_base_column(forward, parameter.id, pose.target, &position, &mut term));
         }
         let factor = self.estimate.factor.as_ref().filter(|factor| factor.nrows() == parameters.len());
         let motions = self.motions.at(pose.command, &target);
@@ -401,15 +402,15 @@ impl EstimatePredictor<'_> {
     ) -> Result<Option<PredictedOrientation>, PredictionError> {
         let mounted = self.estimate.robot.orientations.get(pose.target).copied().flatten();
         let Some(flange_from_target) = mounted else { return Ok(None) };
-        let machine = &mut self.predictor.machine;
-        machine.differentiate_turn(told)?;
+        let forward = &mut self.predictor.forward;
+        forward.differentiate_turn(told)?;
         let parameters = &self.estimate.parameters;
         let turned = |axis: usize| {
             let id = ParameterId::Orientation { target: pose.target, axis };
             self.estimate.value(id).unwrap_or(0.0)
         };
         let turned = Vector3::from_fn(|axis, _| turned(axis));
-        let rotation = machine.rotation() * flange_from_target;
+        let rotation = forward.rotation() * flange_from_target;
         // The parameters displace the stated orientation, and `flange_from_target` is already displaced: it is turned back first.
         let by_target =
             rotation.matrix() * Rotation3::new(turned).inverse().matrix() * left_jacobian(&turned);
@@ -420,7 +421,7 @@ impl EstimatePredictor<'_> {
                 ParameterId::Orientation { target, axis } if target == pose.target => {
                     by_target.column(axis).into_owned()
                 }
-                id => turn_column(machine, id, &mut term),
+                id => turn_column(forward, id, &mut term),
             });
         }
         let factor = self.estimate.factor.as_ref().filter(|factor| factor.nrows() == parameters.len());

@@ -8,7 +8,7 @@
 use nalgebra::{Cholesky, DMatrix, DVector, Dim, Dyn, Matrix, StorageMut, Vector3};
 
 use super::IdentifyError;
-use super::problem::{CalibrationProblem, Row};
+use super::problem::{CalibrationProblem, PositionRow};
 use super::turns::TurnRow;
 use calibrig_model::measurement::MeasurementSet;
 
@@ -107,7 +107,7 @@ impl<'a> Motions<'a> {
 
 /// The errors that readings of a station share, as displacements of all data rows per unit, m and rad in the trackers' axes. Errors that add little
 /// to the readings' own noise are treated as part of that.
-pub(super) fn shared_errors(set: &MeasurementSet, rows: &[Row], turns: &[TurnRow]) -> DMatrix<f64> {
+pub(super) fn shared_errors(set: &MeasurementSet, rows: &[PositionRow], turns: &[TurnRow]) -> DMatrix<f64> {
     if set.stations.iter().all(|station| station.motion.is_none()) {
         return DMatrix::zeros(3 * (rows.len() + turns.len()), 0);
     }
@@ -125,7 +125,7 @@ pub(super) fn shared_errors(set: &MeasurementSet, rows: &[Row], turns: &[TurnRow
 }
 
 /// Removes shared errors from the stated covariances of readings.
-pub(super) fn take_out(shared: &DMatrix<f64>, rows: &mut [Row], turns: &mut [TurnRow]) {
+pub(super) fn take_out(shared: &DMatrix<f64>, rows: &mut [PositionRow], turns: &mut [TurnRow]) {
     if shared.ncols() == 0 {
         return;
     }

@@ -5,9 +5,9 @@ use nalgebra::{Cholesky, DMatrix, DVector, Matrix3};
 
 use super::IdentifyError;
 use super::factor::triangular_factor_of_all;
+use super::forward_model::ForwardModel;
 use super::instrument::Instruments;
-use super::machine::Machine;
-use super::problem::{Prior, Row};
+use super::problem::{PositionRow, Prior};
 use crate::circle_points::SweptPlace;
 use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::{MeasurementSet, Observation};
@@ -17,9 +17,9 @@ pub(super) fn swept_rows(
     set: &MeasurementSet,
     index: usize,
     swept: &SweptPlace,
-    machine: &mut Machine,
+    forward: &mut ForwardModel,
     (instruments, places): (&Instruments, &[Transform]),
-) -> Result<Vec<Row>, IdentifyError> {
+) -> Result<Vec<PositionRow>, IdentifyError> {
     let station = &set.stations[index];
     let read: Vec<&Observation> =
         swept.readings.iter().map(|(reading, _)| &station.sweeps[*reading]).collect();
@@ -29,9 +29,9 @@ pub(super) fn swept_rows(
         let whitening = Cholesky::new(*covariance)
             .and_then(|factor| factor.l().solve_lower_triangular(&Matrix3::identity()))
             .ok_or_else(|| IdentifyError::Covariance { what: what() })?;
-        Ok::<_, IdentifyError>(Row {
+        Ok::<_, IdentifyError>(PositionRow {
             pose,
-            told: machine
+            told: forward
                 .prepare(&(*observation).into())
                 .map_err(|source| IdentifyError::Machine { pose, source })?,
             seen: observation.reading.position(),

@@ -7,7 +7,7 @@
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 use super::LeastSquares;
-use super::machine::Machine;
+use super::forward_model::ForwardModel;
 use super::problem::{CalibrationProblem, Displacement, left_jacobian};
 use calibrig_model::ParameterId;
 use calibrig_model::geometry::{Transform, rotation_vector};
@@ -143,13 +143,13 @@ impl CalibrationProblem {
         let row = &self.rows[index];
         let now = &mut self.current;
         let is_placed = residuals[3 * index].is_finite();
-        if !is_placed || jacobian.is_some() && now.machine.differentiate_turn(&row.told).is_err() {
+        if !is_placed || jacobian.is_some() && now.forward.differentiate_turn(&row.told).is_err() {
             residuals.fixed_rows_mut::<3>(3 * index).fill(f64::NAN);
             residuals.fixed_rows_mut::<3>(first).fill(f64::NAN);
             return;
         }
         let station = &now.stations[row.station];
-        let flange = now.machine.rotation();
+        let flange = now.forward.rotation();
         // A drift rotates the base as the tracker sees it; the instrument's other errors concern positions only.
         let drift = |(column, _): &(usize, Vector3<f64>)| match self.parameters[*column] {
             ParameterId::Drift { component, .. } if component >= 3 => {
@@ -183,7 +183,7 @@ impl CalibrationProblem {
                 ParameterId::Orientation { target, axis } if target == row.target => {
                     by_target.column(axis).into_owned()
                 }
-                id => from_base * turn_column(&now.machine, id, &mut term),
+                id => from_base * turn_column(&now.forward, id, &mut term),
             };
             jacobian.fixed_view_mut::<3, 1>(first, column).copy_from(&derivative);
         }
@@ -304,7 +304,7 @@ impl CalibrationProblem {
 
 /// Rotation of the flange per unit of a parameter, in base axes, rad per unit; zero for the tracker's place and for a target's orientation on the
 /// flange. `term` counts the terms so far.
-pub(super) fn turn_column(machine: &Machine, id: ParameterId, term: &mut usize) -> Vector3<f64> {
+pub(super) fn turn_column(forward: &ForwardModel, id: ParameterId, term: &mut usize) -> Vector3<f64> {
     match id {
         ParameterId::Frame { .. }
         | ParameterId::Target { .. }
@@ -313,12 +313,12 @@ pub(super) fn turn_column(machine: &Machine, id: ParameterId, term: &mut usize) 
         | ParameterId::Drift { .. } => Vector3::zeros(),
         ParameterId::Term(_) => {
             *term += 1;
-            machine.term_column(*term - 1)
+            forward.term_column(*term - 1)
         }
         ParameterId::Link { .. }
         | ParameterId::Compliance(_)
         | ParameterId::Mass { .. }
         | ParameterId::Centre { .. }
-        | ParameterId::Linkage(_) => machine.turn(id),
+        | ParameterId::Linkage(_) => forward.turn(id),
     }
 }

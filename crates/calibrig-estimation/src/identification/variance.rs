@@ -167,7 +167,7 @@ impl System {
         let (whitened, determinant) = stacked.whitened(variances)?;
         let jacobian = whitened.rows(0, n).into_owned();
         let mut residuals = whitened.row(n).transpose();
-        let fit = Fit::new(&jacobian, &mut residuals, &stacked.priors, &self.prior_residuals)?;
+        let fit = GlsSolution::new(&jacobian, &mut residuals, &stacked.priors, &self.prior_residuals)?;
         let likelihood = -0.5 * (determinant + fit.determinant + residuals.norm_squared() + fit.priors);
         likelihood.is_finite().then_some(())?;
         // Qᵀ with Q Qᵀ the part of the hat matrix between the data; a product is several times as fast as solving for as many columns.
@@ -300,8 +300,8 @@ impl<'a> Stacked<'a> {
     }
 }
 
-/// The least-squares solution of a whitened system.
-struct Fit {
+/// The solution of a whitened system by generalised least squares (GLS).
+struct GlsSolution {
     /// Lower factor of the scaled normal matrix, in the parameters' own units.
     root: DMatrix<f64>,
     /// Logarithm of the determinant of the normal matrix, up to a constant.
@@ -310,7 +310,7 @@ struct Fit {
     priors: f64,
 }
 
-impl Fit {
+impl GlsSolution {
     /// Replaces `residuals` by those of the solution; `whitened` is the transposed Jacobian.
     fn new(
         whitened: &DMatrix<f64>,

@@ -6,9 +6,9 @@ use super::joint_space::JointSpace;
 use super::task::Tool;
 use crate::elastostatics::ElasticError;
 use crate::identification::{CalibratedRobot, Mode, PredictionError, Predictor};
-use crate::kinematics::{ClosureError, PlacedChain};
+use crate::kinematics::{ClosureError, KinematicChain};
 use calibrig_model::geometry::Transform;
-use calibrig_model::{JointKind, LinkTerm, ParameterId, Payload, PoseQuery};
+use calibrig_model::{ParameterId, Payload, PoseQuery};
 
 /// A robot that can be placed at unknowns of its [`JointSpace`] and gives the place of its tool.
 pub(crate) trait Arm {
@@ -30,7 +30,7 @@ pub(crate) trait Arm {
 /// The rigid nominal robot.
 #[derive(Debug, Clone)]
 pub(crate) struct RigidArm {
-    chain: PlacedChain,
+    chain: KinematicChain,
     flange_from_tool: Transform,
     base_from_tool: Transform,
     joints: Vec<f64>,
@@ -41,7 +41,7 @@ pub(crate) struct RigidArm {
 impl RigidArm {
     pub fn new(space: &JointSpace, tool: &Tool) -> Self {
         Self {
-            chain: PlacedChain::new(&space.kinematics),
+            chain: KinematicChain::new(&space.kinematics),
             flange_from_tool: *tool.flange_from_tool(),
             base_from_tool: Transform::identity(),
             joints: vec![0.0; space.kinematics.joint_count()],
@@ -57,13 +57,13 @@ pub(super) fn no_pose(error: ClosureError) -> PredictionError {
 
 /// Motion of the tool with every joint of a rigid chain.
 pub(super) fn by_joints(
-    chain: &PlacedChain,
+    chain: &KinematicChain,
     space: &JointSpace,
     base_from_tool: &Transform,
     mut tell: impl FnMut(usize, [f64; 6]),
 ) {
-    for (joint, link) in space.kinematics.links.iter().enumerate() {
-        let term = if link.kind == JointKind::Prismatic { LinkTerm::D } else { LinkTerm::Theta };
+    for joint in 0..space.kinematics.joint_count() {
+        let term = chain.joint_term(joint);
         let moved = chain.link_column(joint, term, &base_from_tool.translation.vector);
         let turned = chain.turn(ParameterId::Link { link: joint, term });
         tell(joint, [moved.x, moved.y, moved.z, turned.x, turned.y, turned.z]);

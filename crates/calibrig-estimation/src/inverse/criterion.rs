@@ -11,7 +11,7 @@ use super::joint_space::JointSpace;
 use super::task::{Aim, Goal, Tool};
 use crate::elastostatics::{Carried, Deflection, ElasticChain};
 use crate::identification::PredictionError;
-use crate::kinematics::PlacedChain;
+use crate::kinematics::KinematicChain;
 use calibrig_model::geometry::Transform;
 use calibrig_model::{CalibrationModel, Payload};
 
@@ -103,8 +103,8 @@ impl fmt::Display for Criterion {
 /// A text does not state a criterion.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[error(
-    "{found:?} does not state a criterion: expected deflection, limits, manipulability or motion, several of them joined by commas and with weights \
-     (deflection,limits=0.1), or none"
+    "{found:?} is not a criterion: expected deflection, limits, manipulability or motion, several of them joined by commas \
+     and with weights (deflection,limits=0.1), or none"
 )]
 pub struct CriterionError {
     /// The part of the text that was not understood.
@@ -144,7 +144,7 @@ impl Default for Criterion {
 pub(super) struct Judge {
     in_flange: Vector3<f64>,
     flange_from_tool: Transform,
-    chain: PlacedChain,
+    chain: KinematicChain,
     /// The elastic and the rigid chain, where masses and stiffnesses are known.
     elastic: Option<[ElasticChain; 2]>,
     joints: Vec<f64>,
@@ -165,7 +165,7 @@ impl Judge {
         Self {
             in_flange: tool.flange_from_tool().translation.vector,
             flange_from_tool: *tool.flange_from_tool(),
-            chain: PlacedChain::new(&space.kinematics),
+            chain: KinematicChain::new(&space.kinematics),
             elastic: model.statics.as_ref().map(|_| [ElasticChain::of(model), ElasticChain::of(model)]),
             joints: vec![0.0; space.kinematics.joint_count()],
         }

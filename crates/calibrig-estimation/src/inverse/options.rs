@@ -70,7 +70,8 @@ pub enum InverseError {
     },
     /// The criterion asks for a deflection, but the robot's masses and stiffnesses are unknown.
     #[error(
-        "the criterion asks for the least deflection: the robot has no masses and stiffnesses; state them in its file, or choose another criterion"
+        "the criterion asks for the least deflection, but the robot has no masses and stiffnesses: state them in its file, or \
+         choose another criterion"
     )]
     NoStatics,
 }

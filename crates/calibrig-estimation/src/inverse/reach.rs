@@ -75,14 +75,14 @@ pub struct Unreachable {
 impl fmt::Display for Unreachable {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (off, angle) = (1e3 * self.missed.norm(), self.missed_angle.to_degrees());
-        write!(f, "the nearest command that was found misses it by {off:.3} mm")?;
+        write!(f, "the nearest command found misses it by {off:.3} mm")?;
         if angle > 1e-6 {
             write!(f, " and {angle:.3} deg")?;
         }
         list(f, ", with ", &self.limits)?;
         match &self.without_limits {
-            Some(limits) => list(f, "; it could be met with ", limits),
-            None => write!(f, "; it could not be met without limits either"),
+            Some(limits) => list(f, "; it could be reached with ", limits),
+            None => write!(f, "; without limits it could not be reached either"),
         }
     }
 }

@@ -34,7 +34,7 @@ pub enum GoalError {
         value: [f64; 3],
     },
     /// A direction has length zero.
-    #[error("the direction of the {of} is of length {length}: expected any but zero")]
+    #[error("the direction of the {of} has length {length}: expected a length above zero")]
     NoDirection {
         /// What the direction belongs to.
         of: &'static str,

@@ -4,10 +4,10 @@ use nalgebra::Vector3;
 use thiserror::Error;
 
 use super::JOINTS;
-use calibrig_model::geometry::{Transform, rotation_x, rotation_z};
+use calibrig_model::geometry::{Transform, rotation_z};
 use calibrig_model::{
     ActuatorMap, CalibrationModel, CraigLink, CrankAxis, FourBar, KinematicModel, LEAST_TRANSMISSION_ANGLE,
-    LinkTerm, LinkageArm, LinkageTerm, ModelError, ParameterId,
+    ModelError,
 };
 
 /// Why a four-bar gives no joint angle.
@@ -68,14 +68,6 @@ pub struct Closure {
     pub rate: f64,
     /// Angle between rod and arm, 0..pi/2 rad: `sin` of it is `|rate|` over the arm's length.
     pub transmission_angle: f64,
-}
-
-impl Closure {
-    /// The change of the angle, rad, when the arm's end is displaced by `end` (at the angle held), the rod's other end by `anchor` and the
-    /// rod's length changes by `rod`, m; to first order.
-    pub fn angle_change(&self, end: &Vector3<f64>, anchor: &Vector3<f64>, rod: f64) -> f64 {
-        (rod - self.rod_direction.dot(&(end - anchor))) / self.rate
-    }
 }
 
 /// Turns an arm about the z axis of `pivot` until its end is at the distance `rod` (m) of `anchor`, and gives the angle nearest to `ideal`.
@@ -154,59 +146,23 @@ pub struct ElbowLinkage {
     elbow: usize,
     offset: f64,
     rod: f64,
-    crank: LinkageArm,
-    lever: LinkageArm,
     axis: CrankAxis,
     crank_end: Vector3<f64>,
     lever_end: Vector3<f64>,
     /// Of the elbow's link.
     fixed_part: Transform,
-    elbow_a: f64,
-    elbow_alpha: f64,
     theta: f64,
 }
 
-/// The elbow's angle and its change per unit of all that it depends on; the links are rigid.
-///
-/// The shoulder's link parameters are missing because they have no influence.
+/// The elbow's angle and how it follows the commands; the links are rigid.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ElbowClosure {
-    /// Index of the elbow.
-    pub elbow: usize,
     /// rad
     pub q_elbow: f64,
-    /// Angle between rod and lever, rad.
-    pub transmission_angle: f64,
     /// By the elbow's command psi, rad/rad.
     pub by_psi: f64,
     /// By the shoulder's joint variable at psi held, rad/rad.
     pub by_shoulder: f64,
-    /// By the four-bar's own parameters, in the order of [`LinkageTerm::ALL`], rad/m or rad/rad.
-    pub by_linkage: [f64; 7],
-    /// By the elbow's link parameters, in the order of [`LinkTerm::ALL`], rad/m or rad/rad.
-    pub by_link: [f64; 5],
-}
-
-impl ElbowClosure {
-    /// Change of the elbow's angle per unit of any parameter, at the command held. Deflections are not in it.
-    pub fn by(&self, id: ParameterId) -> f64 {
-        let pick = |found: Option<usize>, values: &[f64]| found.map_or(0.0, |i| values[i]);
-        match id {
-            ParameterId::Link { link, term } if link == self.elbow => {
-                pick(LinkTerm::ALL.iter().position(|t| *t == term), &self.by_link)
-            }
-            ParameterId::Linkage(term) => {
-                pick(LinkageTerm::ALL.iter().position(|t| *t == term), &self.by_linkage)
-            }
-            _ => 0.0,
-        }
-    }
-}
-
-/// The direction in which an arm's end moves when the arm grows, in the arm's frame.
-fn growth(arm: &LinkageArm) -> Vector3<f64> {
-    let (sin, cos) = arm.angle.sin_cos();
-    Vector3::new(cos, sin, 0.0)
 }
 
 impl ElbowLinkage {
@@ -229,14 +185,10 @@ impl ElbowLinkage {
             elbow,
             offset,
             rod: linkage.rod,
-            crank: linkage.crank,
-            lever: linkage.lever,
             axis: linkage.axis,
             crank_end: linkage.crank.end(),
             lever_end: linkage.lever.end(),
             fixed_part: link.fixed_part(),
-            elbow_a: link.a,
-            elbow_alpha: link.alpha,
             theta: link.theta,
         }))
     }
@@ -302,47 +254,17 @@ impl ElbowLinkage {
     pub fn closure(&self, command: &[f64]) -> Result<ElbowClosure, ClosureError> {
         let (q_shoulder, psi) = self.pair("command", command)?;
         let closure = self.close(psi, q_shoulder)?;
-        let (crank, pivot) = (self.crank(psi), self.pivot(q_shoulder));
-        let end = closure.end;
-        let upper_arm = rotation_z(q_shoulder);
-        let x = upper_arm.rotation * Vector3::x();
-        let y = upper_arm.rotation * (rotation_x(self.elbow_alpha).rotation * Vector3::y());
-        let axis: Vector3<f64> = pivot.rotation.matrix().column(2).into_owned();
-        let lever_growth = pivot.rotation * (rotation_z(closure.angle).rotation * growth(&self.lever));
-
-        let still = Vector3::zeros();
-        let by_end = |motion: Vector3<f64>| closure.angle_change(&motion, &still, 0.0);
-        let by_anchor = |motion: Vector3<f64>| closure.angle_change(&still, &motion, 0.0);
+        // The rod keeps its length: what it is stretched by at either end, the elbow makes up for.
+        let by_end = |motion: Vector3<f64>| -closure.rod_direction.dot(&motion) / closure.rate;
+        let by_anchor = |motion: Vector3<f64>| closure.rod_direction.dot(&motion) / closure.rate;
         // From where the crank's axis crosses the plane z = 0 of its frame to the crank's end.
+        let crank = self.crank(psi);
         let crank_arm = crank.rotation * self.crank_end;
         let crank_axis = crank.rotation * Vector3::z();
-        let by_psi = by_anchor(crank_axis.cross(&crank_arm));
         Ok(ElbowClosure {
-            elbow: self.elbow,
             q_elbow: closure.angle,
-            transmission_angle: closure.transmission_angle,
-            by_psi,
-            by_shoulder: by_end(Vector3::z().cross(&end)),
-            by_linkage: LinkageTerm::ALL.map(|term| match term {
-                LinkageTerm::Crank => by_anchor(crank.rotation * growth(&self.crank)),
-                LinkageTerm::Lever => by_end(lever_growth),
-                LinkageTerm::Rod => closure.angle_change(&still, &still, 1.0),
-                LinkageTerm::AxisX => by_anchor(Vector3::x()),
-                LinkageTerm::AxisY => by_anchor(Vector3::y()),
-                LinkageTerm::AxisRx => by_anchor(Vector3::x().cross(&crank_arm)),
-                // Behind the tilt about x.
-                LinkageTerm::AxisRy => {
-                    by_anchor((rotation_x(self.axis.rx).rotation * Vector3::y()).cross(&crank_arm))
-                }
-            }),
-            by_link: LinkTerm::ALL.map(|term| match term {
-                LinkTerm::A => by_end(x),
-                LinkTerm::Alpha => by_end(x.cross(&end)),
-                LinkTerm::Beta => by_end(y.cross(&(end - self.elbow_a * x))),
-                LinkTerm::D => by_end(axis),
-                // Theta turns the lever about the joint's axis, and the crank with it.
-                LinkTerm::Theta => by_psi - 1.0,
-            }),
+            by_psi: by_anchor(crank_axis.cross(&crank_arm)),
+            by_shoulder: by_end(Vector3::z().cross(&closure.end)),
         })
     }
 }

@@ -14,7 +14,7 @@ pub enum PlanError {
     Identify(#[from] IdentifyError),
     /// There is no candidate to choose from.
     #[error(
-        "there is no candidate pose: expected some that are not yet measured; loosen what filters them, or draw more"
+        "there is no candidate pose: expected some that are not yet measured; loosen the filters, or draw more"
     )]
     NoCandidates,
     /// There are fewer candidates than poses to choose.
@@ -32,8 +32,8 @@ pub enum PlanError {
     NoPoses,
     /// The poses cannot determine the parameters.
     #[error(
-        "{count} poses have at most {rows} coordinates, which with what is known beforehand determine {determined} of {parameters} parameters: expected at least {least} \
-         poses, or a prior (tolerance) on the parameters"
+        "{count} poses have at most {rows} coordinates, which together with the priors determine {determined} of {parameters} \
+         parameters: expected at least {least} poses, or a prior (tolerance) on the parameters"
     )]
     TooFewPoses {
         /// Number of poses to choose.
@@ -49,7 +49,8 @@ pub enum PlanError {
     },
     /// Some parameters are determined neither by any choice of these candidates nor by a prior.
     #[error(
-        "{what} cannot tell all parameters: {}; give these a prior (tolerance), fix one of each group, or look for other poses",
+        "{what} cannot determine all parameters: {}; give these a prior (tolerance), fix one of each group, or look for other \
+         poses",
         .groups.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")
     )]
     Singular {
@@ -59,14 +60,14 @@ pub enum PlanError {
         groups: Vec<DependentGroup>,
     },
     /// A criterion of a region is used without a region.
-    #[error("{}-optimality is about a region, and there is none: expected poses where the robot will work", .criterion.key())]
+    #[error("{}-optimality needs a region, but none is given: expected poses where the robot will work", .criterion.key())]
     NoRegion {
         /// Which criterion.
         criterion: Criterion,
     },
     /// A planned reading states no noise.
     #[error(
-        "pose {pose}: the planned reading states no covariance: expected one, since it is weighed against what is known beforehand"
+        "pose {pose}: the planned reading states no covariance: expected one, because it is weighed against the priors"
     )]
     NoNoise {
         /// Number of the pose.
@@ -122,13 +123,14 @@ pub enum PlanError {
         source: PredictionError,
     },
     /// A pose that is listed as measured is not in the set.
-    #[error("pose {pose} is said to be measured, and the set has none of that number")]
+    #[error("pose {pose} is listed as measured, but the set has no pose of that number")]
     UnknownMeasured {
         /// Number of the pose.
         pose: u32,
     },
     /// A drawn robot cannot take a pose.
-    #[error("robot {} of those drawn from what is known beforehand: {source}; a smaller tolerance, or candidates further from what the linkage allows", .robot.saturating_add(1))]
+    #[error("robot {} of those drawn from the priors: {source}; expected a smaller tolerance, or candidates farther from the \
+             limits of the linkage", .robot.saturating_add(1))]
     Drawn {
         /// Index of the robot.
         robot: usize,

@@ -150,7 +150,7 @@ fn check(way: &Way<'_>) -> Result<(), PlanError> {
         }
         Err(PlanError::Length { what: what.to_owned(), found, expected })
     };
-    length("the speeds, one a joint", way.speeds.len(), joints)?;
+    length("the speeds, one per joint", way.speeds.len(), joints)?;
     for command in way.commands.iter().map(Vec::as_slice).chain(way.home) {
         length("a command to put in order", command.len(), joints)?;
         if !command.iter().all(|v| v.is_finite()) {
@@ -158,7 +158,7 @@ fn check(way: &Way<'_>) -> Result<(), PlanError> {
         }
     }
     if let Some(drift) = way.drift {
-        length("the coupling with drift, one a pose", drift.own.len(), way.commands.len())?;
+        length("the coupling with drift, one per pose", drift.own.len(), way.commands.len())?;
     }
     if let Some(value) = way.speeds.iter().copied().find(|speed| !(*speed > 0.0 && speed.is_finite())) {
         let field = "the speed of a joint";

@@ -5,6 +5,7 @@
 // What a test expects of its own robots is no case of the interface.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+mod beams;
 mod circle_points;
 mod coverage;
 mod diagnosis;
@@ -13,7 +14,6 @@ mod drift;
 mod extremes;
 mod faults;
 mod four_bar;
-mod frames;
 mod hidden;
 mod instrument;
 mod numbers;

@@ -225,7 +225,7 @@ fn paths_that_cannot_be_are_refused_by_point() {
     );
     assert_eq!(
         told(&[at(0.0), at(0.1), at(0.1)], 1.0),
-        "point 3 of the path is where point 2 is: leave one of them out"
+        "point 3 of the path is at the same place as point 2: leave one of them out"
     );
     assert!(told(&[at(0.0), at(1.0)], 0.0).contains("speed of the path is 0 m/s"));
     let axis = Goal::Axis { position: Vector3::x(), direction: Vector3::z() };

@@ -12,8 +12,8 @@ use calibrig_model::Body;
 use calibrig_model::geometry::Transform;
 
 impl Finder<'_> {
-    /// What every joint of the chain carries, in the base frame at zero, and what is wrong with what the file says of it. Joints outside of the
-    /// chain are taken at zero.
+    /// What every joint of the chain carries, in the base frame at zero, and what is wrong with the file's values. Joints outside the chain are
+    /// taken at zero.
     pub fn bodies(&self, steps: &[Step]) -> Result<(Vec<Option<Body>>, Vec<String>), InputError> {
         let cut: BTreeSet<usize> =
             steps.iter().map(|(joint, _)| *joint).filter(|joint| self.is_moving(*joint)).collect();
@@ -35,13 +35,13 @@ impl Finder<'_> {
         }
         match massless.as_slice() {
             [] => {}
-            [link] => faults.push(format!("no mass: link {link} and what is fixed to it")),
-            links => faults.push(format!("no mass: links {} and what is fixed to them", listed(links))),
+            [link] => faults.push(format!("no mass: link {link} and the links fixed to it")),
+            links => faults.push(format!("no mass: links {} and the links fixed to them", listed(links))),
         }
         Ok((bodies, faults))
     }
 
-    /// All that hangs on a link without a joint of the chain between.
+    /// All that is attached to a link without a joint of the chain in between.
     fn body(
         &self,
         start: usize,
@@ -76,7 +76,7 @@ impl Finder<'_> {
         Ok(joined(&bodies))
     }
 
-    /// The body of one link, where it has one.
+    /// The body of one link, if it has one.
     fn stated(
         &self,
         link: &str,
@@ -97,7 +97,7 @@ impl Finder<'_> {
             None => turn * inertia * turn.transpose(),
             Some(fault) => {
                 faults.push(format!(
-                    "the inertia of link {link} {fault}; that of a solid sphere is assumed, and nothing at rest depends on it"
+                    "the inertia of link {link} {fault}; that of a solid sphere is assumed, which changes nothing at rest"
                 ));
                 sphere(mass)
             }
@@ -107,7 +107,7 @@ impl Finder<'_> {
     }
 }
 
-/// Bodies that move as one; `None` of none.
+/// Bodies that move as one; `None` for none.
 fn joined(bodies: &[Body]) -> Option<Body> {
     let mass: f64 = bodies.iter().map(|body| body.mass).sum();
     if mass <= 0.0 {

@@ -16,7 +16,7 @@ use calibrig_model::geometry::Transform;
 pub(super) struct Chain {
     pub base: String,
     pub tip: String,
-    /// How base and tip were found, where nobody named them.
+    /// How base and tip were found, if not named.
     pub chosen: Vec<String>,
     pub joints: Vec<MovingJoint>,
     /// From the last joint's moving side to the tip.
@@ -35,7 +35,7 @@ pub(super) struct MovingJoint {
     pub previous_from_joint: Transform,
     /// Along or about it in that frame, in the sense in which the tip moves.
     pub axis: Unit<Vector3<f64>>,
-    /// rad or m; `None` where the file states none.
+    /// rad or m; `None` if the file states none.
     pub limits: Option<[f64; 2]>,
     /// The joint that it follows, with factor and offset (rad or m).
     pub mimic: Option<Mimic>,
@@ -74,10 +74,10 @@ impl Chain {
     }
 }
 
-/// Limits beyond this say that there are none, rad or m.
+/// Limits beyond this mean that there are none, rad or m.
 const ENDLESS: f64 = 1e5;
 
-/// A step of the way from base to tip: a joint, and whether it is gone through from its child to its parent.
+/// A step of the path from base to tip: a joint, and whether it is traversed from its child to its parent.
 pub(super) type Step = (usize, bool);
 
 pub(super) struct Finder<'a> {
@@ -95,7 +95,7 @@ impl Finder<'_> {
         Err(self.source.error(span, message, Some(format!("expected {expected}"))))
     }
 
-    /// The chain between links of these names; where one is not named, the one that can be meant.
+    /// The chain between links of these names; if one is not named, the only possible one.
     pub fn chain(&self, base: Option<&str>, tip: Option<&str>) -> Result<(Chain, Vec<Step>), InputError> {
         self.check_no_loops()?;
         let mut chosen = Vec::new();
@@ -148,7 +148,7 @@ impl Finder<'_> {
         }
         chain.last_from_tip = since;
         if chain.joints.is_empty() {
-            let message = format!("no joint moves between {} and {}", chain.base, chain.tip);
+            let message = format!("no joint between {} and {} moves", chain.base, chain.tip);
             let expected = format!("--base and --tip with moving joints between them; {}", self.ends(base));
             return self.error(self.tree.links[tip].span.clone(), message, &expected);
         }
@@ -176,7 +176,7 @@ impl Finder<'_> {
         for (link, entry) in self.tree.links.iter().enumerate() {
             if self.up(link).len() > self.tree.joints.len() {
                 let message = format!("link {} hangs on a loop of joints", entry.name);
-                return self.error(entry.span.clone(), message, "a tree: every link hangs on one root");
+                return self.error(entry.span.clone(), message, "a tree: every link connected to one root");
             }
         }
         Ok(())
@@ -189,12 +189,12 @@ impl Finder<'_> {
         let names: Vec<_> = self.tree.links.iter().map(|link| link.name.as_str()).collect();
         let hint = match self.tree.joints.iter().find(|joint| joint.name == name) {
             Some(joint) => format!(
-                "the name of a link; {name} is a joint, from link {} to link {}",
+                "the name of a link; {name} is the joint from link {} to link {}",
                 self.tree.links[joint.parent].name, self.tree.links[joint.child].name
             ),
             None => format!("one of the links {}", listed(&names)),
         };
-        self.error(self.tree.span.clone(), format!("{flag} {name}: there is no such link"), &hint)
+        self.error(self.tree.span.clone(), format!("{flag} {name}: no link has this name"), &hint)
     }
 
     fn root_of(&self, link: usize) -> usize {
@@ -209,10 +209,10 @@ impl Finder<'_> {
             roots.iter().copied().filter(|root| self.tree.joints.iter().any(|j| j.parent == *root)).collect();
         match (with_joints.as_slice(), roots.as_slice()) {
             ([root], _) => Ok(*root),
-            ([], _) => self.error(self.tree.span.clone(), "no joint joins two links", "a robot with joints"),
+            ([], _) => self.error(self.tree.span.clone(), "no joint connects two links", "a robot with joints"),
             (several, _) => {
                 let names: Vec<_> = several.iter().map(|root| self.tree.links[*root].name.as_str()).collect();
-                let message = format!("{} links hang on no joint: {}", names.len(), listed(&names));
+                let message = format!("{} links are not connected to any joint: {}", names.len(), listed(&names));
                 self.error(self.tree.links[several[1]].span.clone(), message, "--base with one of them")
             }
         }
@@ -253,7 +253,8 @@ impl Finder<'_> {
         format!("ends of the tree: {}", listed(&names))
     }
 
-    /// The end that can be meant: the only one, or the tool0 of ROS-Industrial where all others hang on the same link or nearer to the base.
+    /// The end that must be meant: the only one, or the tool0 of ROS-Industrial if all others are attached to the same link or nearer to the
+    /// base.
     fn only_tip(&self, base: usize, chosen: &mut Vec<String>) -> Result<usize, InputError> {
         let tips = self.tips(base);
         let name = |link: usize| self.tree.links[link].name.as_str();
@@ -266,11 +267,11 @@ impl Finder<'_> {
         {
             let others: Vec<_> =
                 tips.iter().filter(|(link, _)| link != tip).map(|(link, _)| name(*link)).collect();
-            chosen.push(format!("tip: tool0, and not {} (--tip)", listed(&others)));
+            chosen.push(format!("tip: tool0, not {} (--tip)", listed(&others)));
             return Ok(*tip);
         }
         let message = if tips.is_empty() {
-            format!("no moving joint hangs on {}", name(base))
+            format!("no moving joint follows {}", name(base))
         } else {
             format!("{} links can be the tip of the chain from {}", tips.len(), name(base))
         };
@@ -278,12 +279,12 @@ impl Finder<'_> {
         self.error(self.tree.links[base].span.clone(), message, &expected)
     }
 
-    /// The joints from base to tip: up to where both hang, and down again.
+    /// The joints from base to tip: up to the common link, and down again.
     fn way(&self, base: usize, tip: usize) -> Result<Vec<Step>, InputError> {
         let (mut up, mut down) = (self.up(base), self.up(tip));
         if self.root_of(base) != self.root_of(tip) {
             let [base, tip] = [base, tip].map(|link| self.tree.links[link].name.as_str());
-            let message = format!("links {base} and {tip} hang on different roots");
+            let message = format!("links {base} and {tip} belong to different trees");
             return self.error(self.tree.span.clone(), message, "--base and --tip in one tree");
         }
         while let (Some(above), Some(other)) = (up.last(), down.last()) {
@@ -297,7 +298,7 @@ impl Finder<'_> {
         Ok(up.chain(down.into_iter().rev().map(|joint| (joint, false))).collect())
     }
 
-    /// A joint of the chain; `None` where it is fixed.
+    /// A joint of the chain; `None` if it is fixed.
     fn moving(&self, joint: &Joint) -> Result<Option<MovingJoint>, InputError> {
         let (kind, continuous) = match joint.kind.as_str() {
             "fixed" => return Ok(None),
@@ -309,7 +310,8 @@ impl Finder<'_> {
                 return self.error(
                     joint.span.clone(),
                     message,
-                    "revolute, continuous, prismatic or fixed joints between base and tip; --base and --tip may leave it out",
+                    "revolute, continuous, prismatic or fixed joints between base and tip; choose --base and --tip so that \
+                     this joint is not between them",
                 );
             }
         };
@@ -325,7 +327,7 @@ impl Finder<'_> {
         }))
     }
 
-    /// x where the file says nothing, as URDF has it.
+    /// x if the file states nothing, as in URDF.
     fn axis(&self, joint: &Joint) -> Result<Unit<Vector3<f64>>, InputError> {
         let Some(element) = &joint.axis else { return Ok(Vector3::x_axis()) };
         let axis = element
@@ -334,7 +336,7 @@ impl Finder<'_> {
         match Unit::try_new(axis, 1e-6) {
             Some(axis) => Ok(axis),
             None => {
-                let message = format!("the axis of joint {} has no direction", joint.name);
+                let message = format!("the axis of joint {} has length zero", joint.name);
                 self.error(element.span.clone(), message, "<axis xyz=\"0 0 1\"/> or another direction")
             }
         }
@@ -342,7 +344,7 @@ impl Finder<'_> {
 
     fn limits(&self, joint: &Joint, continuous: bool) -> Result<Option<[f64; 2]>, InputError> {
         let Some(element) = joint.limit.as_ref().filter(|_| !continuous) else { return Ok(None) };
-        // Some write infinity, or a number that stands for it.
+        // Some files write infinity, or a number that stands for it.
         let endless = |name| {
             let value = element.attribute(name).and_then(|(text, _)| text.trim().parse::<f64>().ok());
             value.is_some_and(|value| value.abs() > ENDLESS)
@@ -353,14 +355,14 @@ impl Finder<'_> {
         let number = |name| element.number(self.source, name).map(|value| value.unwrap_or(0.0));
         let [low, high] = [number("lower")?, number("upper")?];
         if low > high {
-            let message = format!("lower of joint {} is above its upper", joint.name);
+            let message = format!("the lower limit of joint {} is above its upper limit", joint.name);
             return self.error(
                 element.span.clone(),
                 message,
-                "limits with lower below upper; a continuous joint where it has none",
+                "lower below upper; for a joint without limits, type=\"continuous\"",
             );
         }
-        // A joint that cannot move is one whose limits were never filled in.
+        // If a joint cannot move, its limits were never filled in.
         Ok((low < high).then_some([low, high]))
     }
 
@@ -373,12 +375,12 @@ impl Finder<'_> {
     fn mimic(&self, joint: &Joint) -> Result<Option<Mimic>, InputError> {
         let Some(element) = &joint.mimic else { return Ok(None) };
         let Some((leader, place)) = element.attribute("joint") else {
-            let message = format!("the <mimic> of joint {} names no joint", joint.name);
+            let message = format!("the <mimic> of joint {} does not name a joint", joint.name);
             return self.error(element.span.clone(), message, "joint=\"...\"");
         };
         let leader = leader.trim().to_owned();
         if self.tree.joints.iter().all(|other| other.name != leader) {
-            let message = format!("joint {} follows a joint {leader} that is not there", joint.name);
+            let message = format!("joint {} follows joint {leader}, which does not exist", joint.name);
             return self.error(place, message, "the name of a joint");
         }
         let number =

@@ -13,12 +13,12 @@ use crate::input::{InputError, Source, quoted};
 use crate::robot::parse_robot;
 use calibrig_model::{CraigLink, JointKind};
 
-/// Whose table it is.
+/// Convention of the table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Convention {
-    /// A row's a and alpha stand in front of its joint ("modified").
+    /// A row's a and alpha come before its joint ("modified").
     Craig,
-    /// A row's a and alpha stand behind its joint ("classic", "distal").
+    /// A row's a and alpha come after its joint ("classic", "distal").
     Standard,
 }
 
@@ -31,10 +31,10 @@ impl Convention {
     }
 }
 
-/// Makes a robot file of a table: a header line with units, and a row a joint from the base.
+/// Makes a robot file from a table: a header line with units, and one row per joint from the base.
 ///
-/// Columns are `a`, `alpha`, `d` and `theta` with their units (`a_mm`, `alpha [deg]`, `θ (rad)`), and where there are `name`, `type`, `beta`, `min` and
-/// `max`. A cell may say which of theta and d is the joint variable, with its sign and offset: `q2 - 90`, `-θ3`.
+/// Columns are `a`, `alpha`, `d` and `theta` with their units (`a_mm`, `alpha [deg]`, `θ (rad)`), and optionally `name`, `type`, `beta`, `min` and
+/// `max`. A cell may show which of theta and d is the joint variable, with its sign and offset: `q2 - 90`, `-θ3`.
 ///
 /// # Errors
 ///
@@ -54,7 +54,7 @@ pub fn robot_from_dh(
         file_name(&source.name),
         convention.key()
     );
-    line!(text, "# What is marked \"assumed\" the table does not say: look at it.");
+    line!(text, "# Values marked \"assumed\" are not in the table: check them.");
     line!(text);
     line!(text, "schema = \"calibrig.robot/1\"");
     let stem = std::path::Path::new(&source.name).file_stem();
@@ -64,7 +64,7 @@ pub fn robot_from_dh(
         let comments = found.assumed.map(|assumed| if assumed { " # assumed" } else { "" });
         row(&mut text, &found.link, comments);
         if found.reversed {
-            line!(text, "# The table has the variable with a minus.");
+            line!(text, "# The table writes the variable with a minus sign.");
             line!(text, "[joint.shown]");
             line!(text, "sign = -1");
         }
@@ -74,7 +74,7 @@ pub fn robot_from_dh(
     line!(text, "kind = \"direct\"");
     if let Some(target) = target {
         line!(text);
-        line!(text, "# As asked for (--target-mm), in the last frame of the table.");
+        line!(text, "# As given by --target-mm, in the last frame of the table.");
         line!(text, "[target]");
         let [x, y, z] = [target.x, target.y, target.z].map(mm);
         line!(text, "x_mm = {x}\ny_mm = {y}\nz_mm = {z}");
@@ -84,7 +84,7 @@ pub fn robot_from_dh(
     Ok(Converted { source: made, robot, remarks, difference: None })
 }
 
-/// A row, and what of it the table does not say.
+/// A row, and what the table does not state about it.
 struct Row {
     link: CraigLink,
     reversed: bool,
@@ -166,7 +166,7 @@ impl<'a> Table<'a> {
                 [_] => {
                     return refused(
                         span,
-                        &format!("the column {name} has no unit, or one of the other kind"),
+                        &format!("the column {name} has no unit, or a unit of the other kind"),
                         units,
                     );
                 }
@@ -174,14 +174,14 @@ impl<'a> Table<'a> {
                 _ => {
                     return refused(
                         span,
-                        &format!("there are {} columns {name}", found.len()),
-                        "one of them",
+                        &format!("there are {} columns named {name}", found.len()),
+                        "only one of them",
                     );
                 }
             }
         }
         if table.lines.is_empty() {
-            return refused(span, "the table has no rows", "a row for every joint, from the base");
+            return refused(span, "the table has no rows", "one row per joint, starting at the base");
         }
         Ok(table)
     }
@@ -201,14 +201,15 @@ impl<'a> Table<'a> {
             if let Some(other) = rows.iter().find(|other| other.link.name == row.link.name) {
                 let span = line.first().map_or(0..0, |cell| cell.1.clone());
                 let message = format!("a second joint {:?}", other.link.name);
-                return self.error(span, &message, "a name of its own");
+                return self.error(span, &message, "a different name for each joint");
             }
             rows.push(row);
         }
         self.check_order(&rows)?;
         if !unsaid.is_empty() {
             remarks.push(format!(
-                "assumed: the joints {} turn; the table says of none of theirs whether it turns or slides (a column type, or q in the cell of theta or d)",
+                "assumed: the joints {} turn; the table does not say of any of them whether it turns or slides (a column \
+                 type, or q in the cell of theta or d)",
                 unsaid.join(", ")
             ));
         }
@@ -222,30 +223,31 @@ impl<'a> Table<'a> {
         }
         remarks.extend(self.passed_over());
         remarks.extend(self.doubtful(&rows));
-        remarks.push("no gravity modes: masses are not read from a table ([joint.body], stiffnesses and [gravity] may be added)".to_owned());
+        remarks.push("no gravity modes: the table has no masses ([joint.body], stiffnesses and [gravity] can be added to the \
+                      robot file)".to_owned());
         Ok(rows)
     }
 
-    /// Units that can hardly be meant.
+    /// Units that are implausible.
     fn doubtful(&self, rows: &[Row]) -> Vec<String> {
         let twists = || rows.iter().map(|row| row.link.alpha.abs()).filter(|alpha| *alpha != 0.0);
         let unit =
             |what| self.columns.iter().find(|column| column.what == what).and_then(|column| column.unit);
         let is_in_degrees = matches!(unit(What::Alpha), Some(Unit::Angle(size)) if size != 1.0);
         let mut doubtful = Vec::new();
-        // Twists are right angles, mostly.
+        // Most twists are right angles.
         let right = |alpha: f64| {
             (alpha - std::f64::consts::FRAC_PI_2).abs() < 1e-3 || (alpha - std::f64::consts::PI).abs() < 1e-3
         };
         if is_in_degrees && twists().count() > 0 && twists().all(|alpha| right(alpha.to_degrees())) {
             doubtful.push(
-                "doubtful: alpha is in deg, as its title says, and its numbers are right angles in rad"
+                "doubtful: the title of alpha says deg, but its values are right angles in rad"
                     .to_owned(),
             );
         }
         if !is_in_degrees && twists().any(|alpha| alpha > TAU) {
             doubtful.push(
-                "doubtful: alpha is in rad, as its title says, and some is more than a turn".to_owned(),
+                "doubtful: the title of alpha says rad, but some values are more than a full turn".to_owned(),
             );
         }
         let links = rows.iter().map(|row| (row.link.a, row.link.d));
@@ -253,7 +255,7 @@ impl<'a> Table<'a> {
         doubtful
     }
 
-    /// Columns that nothing is taken from, but for a count of the rows.
+    /// Unused columns, except a count of the rows.
     fn passed_over(&self) -> Option<String> {
         let others = self.columns.iter().zip(&self.titles).filter(|(column, _)| column.what == What::Other);
         let is_count = |title: &str| {
@@ -263,7 +265,7 @@ impl<'a> Table<'a> {
             others.map(|(_, title)| title.as_str()).filter(|title| !is_count(title)).collect();
         (!titles.is_empty()).then(|| {
             let columns = if titles.len() == 1 { "column" } else { "columns" };
-            format!("passed over: the {columns} {}", titles.join(", "))
+            format!("ignored: the {columns} {}", titles.join(", "))
         })
     }
 
@@ -278,9 +280,10 @@ impl<'a> Table<'a> {
         let has_variable = |cell: &Cell<'_>| terms(cell.0).iter().any(|(_, term)| variable(term).is_some());
         let cell = [of(What::D), of(What::Theta)].into_iter().flatten().find(has_variable);
         let (text, span) = cell.unwrap_or(("", self.header.clone()));
-        let message = format!("{text:?} is the variable of another joint than {}", row.link.name);
+        let message = format!("{text:?} is the variable of another joint, not of {}", row.link.name);
         let expected = format!(
-            "the number {} here: rows are in the order of their joints, each with its own variable; frames that are fixed have no row of their own, and what moves with another joint goes into [joint.shown] of the robot file that is made",
+            "the number {} here: rows are in the order of their joints, each with its own variable. Merge rows of fixed \
+             frames into their neighbours; what moves with another joint goes into [joint.shown] of the robot file",
             index + first
         );
         self.error(span, &message, &expected)
@@ -301,8 +304,8 @@ impl<'a> Table<'a> {
     ) -> Result<(Row, bool), InputError> {
         let span = line.first().map_or(0, |cell| cell.1.start)..line.last().map_or(0, |cell| cell.1.end);
         if line.len() != self.columns.len() {
-            let message = format!("{} cells, the header has {}", line.len(), self.columns.len());
-            return self.error(span, &message, "a cell a column");
+            let message = format!("{} cells, but the header has {}", line.len(), self.columns.len());
+            return self.error(span, &message, "one cell per column");
         }
         let name = match self.cell(line, What::Name) {
             Some(((name, _), _)) if !name.is_empty() => name.to_owned(),
@@ -319,7 +322,7 @@ impl<'a> Table<'a> {
         if beta.number != 0.0 && convention == Convention::Standard {
             return self.error(
                 span,
-                "a column beta in a table of the standard convention",
+                "a column beta in a table of the standard convention, which has none",
                 "--convention craig",
             );
         }
@@ -332,13 +335,13 @@ impl<'a> Table<'a> {
                 return self.error(
                     span,
                     &format!("both d and theta of {name} have a variable"),
-                    "one joint variable a row",
+                    "one joint variable per row",
                 );
             }
             (Some((JointKind::Revolute, place)), Some(_), _)
             | (Some((JointKind::Prismatic, place)), _, Some(_)) => {
                 let message =
-                    format!("the type of {name} and the cell with its variable say different things");
+                    format!("the type of {name} contradicts the cell that holds its variable");
                 return self.error(
                     place.clone(),
                     &message,
@@ -354,7 +357,7 @@ impl<'a> Table<'a> {
         let variable = d.variable.or(theta.variable);
         let reversed = variable.is_some_and(|variable| variable.sign == Sign::Minus);
         if reversed {
-            // A manual's limits are those of what is shown.
+            // A manual's limits are those of the displayed values.
             limits = [-limits[1], -limits[0]];
             assumed.reverse();
         }
@@ -389,7 +392,7 @@ impl<'a> Table<'a> {
         };
         let mut assumed = [true; 2];
         for (end, what) in [What::Min, What::Max].into_iter().enumerate() {
-            // A column an unit: the one that fits the joint, with something in its cell.
+            // One column per unit: the one that fits the joint and has something in its cell.
             let columns = self.columns.iter().zip(line).filter(|(column, _)| column.what == what);
             for (column, (text, place)) in columns {
                 let size = match (column.unit, kind) {
@@ -415,14 +418,14 @@ impl<'a> Table<'a> {
             let span = line.first().map_or(0..0, |cell| cell.1.clone());
             return self.error(
                 span,
-                &format!("max of {name} is not above its min"),
-                "limits that leave a way to go",
+                &format!("the max of {name} is not above its min"),
+                "a max above the min",
             );
         }
         Ok((limits, assumed))
     }
 
-    /// The value of a cell in SI; zero of a column that there is not.
+    /// The value of a cell in SI; zero for a missing column.
     fn value(&self, line: &[Cell<'a>], what: What) -> Result<Value, InputError> {
         let Some(((text, place), column)) = self.cell(line, what) else { return Ok(Value::default()) };
         let size = match column.unit {
@@ -433,8 +436,8 @@ impl<'a> Table<'a> {
         Ok(Value { number: value.number * size, ..value })
     }
 
-    /// A sum of numbers and at most one joint variable, such as `q2 - 90`, `-pi/2` or `θ3*`, in the column's unit, of which there are `size` in
-    /// one of SI.
+    /// A sum of numbers and at most one joint variable, such as `q2 - 90`, `-pi/2` or `θ3*`, in the column's unit, of which `size` make one of
+    /// SI.
     fn expression(&self, text: &str, place: Range<usize>, size: f64) -> Result<Value, InputError> {
         let mut value = Value::default();
         let refused = |what: &str| {
@@ -458,13 +461,14 @@ impl<'a> Table<'a> {
                     return self.error(
                         place.clone(),
                         &format!("{text:?} has more than one joint variable"),
-                        "the row's own joint alone; how it moves with another goes into [joint.shown] of the robot file that is made",
+                        "only the variable of the row's own joint; motion with another joint goes into [joint.shown] of the \
+                         robot file",
                     );
                 }
             } else {
-                return refused(&format!("{text:?} is no number"));
+                return refused(&format!("{text:?} is not a number"));
             }
         }
-        if value.number.is_finite() { Ok(value) } else { refused(&format!("{text:?} is no finite number")) }
+        if value.number.is_finite() { Ok(value) } else { refused(&format!("{text:?} is not a finite number")) }
     }
 }

@@ -131,7 +131,7 @@ pub(super) fn terms(text: &str) -> Vec<(bool, String)> {
     terms
 }
 
-/// The digits of `q2`, `θ_3`, `theta4*`, `d3`, of which `q` has none; `None` where the term is no joint variable.
+/// The digits of `q2`, `θ_3`, `theta4*`, `d3`, of which `q` has none; `None` if the term is not a joint variable.
 pub(super) fn variable(term: &str) -> Option<String> {
     let term = term.to_lowercase();
     let term = term.trim_end_matches('*');
@@ -141,7 +141,7 @@ pub(super) fn variable(term: &str) -> Option<String> {
     })
 }
 
-/// A number as a cell has it, in a unit of which there are `size` in one of SI; multiples of pi where that is rad.
+/// A number as in a cell, in a unit of which `size` make one of SI; multiples of pi if that is rad.
 pub(super) fn number(term: &str, size: f64, decimal_comma: bool) -> Option<f64> {
     let plain = if decimal_comma { term.replace(',', ".") } else { term.to_owned() };
     if let Ok(number) = plain.parse::<f64>() {

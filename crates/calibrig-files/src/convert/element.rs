@@ -1,4 +1,4 @@
-//! Elements of a URDF that say something of the chain: their numbers, read where they are needed.
+//! Elements of a URDF that describe the chain: their numbers, read when they are needed.
 
 use std::ops::Range;
 
@@ -28,7 +28,7 @@ impl Element {
         self.children.iter().find(|child| child.name == name)
     }
 
-    /// `count` numbers of an attribute; `None` where it is not there.
+    /// `count` numbers of an attribute; `None` if it is missing.
     pub fn numbers(&self, source: &Source, name: &str, count: usize) -> Result<Option<Vec<f64>>, InputError> {
         let Some((text, span)) = self.attribute(name) else { return Ok(None) };
         let numbers: Vec<f64> = text
@@ -39,19 +39,19 @@ impl Element {
         if numbers.len() != count || text.split_whitespace().count() != count {
             let expected = match count {
                 1 => "expected a finite number".to_owned(),
-                _ => format!("expected {count} finite numbers with blanks between"),
+                _ => format!("expected {count} finite numbers separated by blanks"),
             };
             return Err(source.error(span, format!("{name} of <{}> is {text:?}", self.name), Some(expected)));
         }
         Ok(Some(numbers))
     }
 
-    /// One number; `None` where it is not there.
+    /// One number; `None` if it is missing.
     pub fn number(&self, source: &Source, name: &str) -> Result<Option<f64>, InputError> {
         Ok(self.numbers(source, name, 1)?.map(|numbers| numbers[0]))
     }
 
-    /// The number, which must be there.
+    /// The number, which is required.
     pub fn required(&self, source: &Source, name: &str) -> Result<f64, InputError> {
         match self.number(source, name)? {
             Some(number) => Ok(number),
@@ -64,7 +64,7 @@ impl Element {
     }
 }
 
-/// The frame of an `<origin>`, the identity where there is none: roll, pitch and yaw are about the fixed x, y and z.
+/// The frame of an `<origin>`, the identity if there is none: roll, pitch and yaw are about the fixed x, y and z.
 pub(super) fn origin(source: &Source, element: Option<&Element>) -> Result<Transform, InputError> {
     let Some(element) = element else { return Ok(Transform::identity()) };
     let three = |name| {
@@ -78,7 +78,7 @@ pub(super) fn origin(source: &Source, element: Option<&Element>) -> Result<Trans
         Some(q) => {
             let quaternion = Quaternion::new(q[3], q[0], q[1], q[2]);
             if element.attribute("rpy").is_some() || !(0.5..2.0).contains(&quaternion.norm()) {
-                let message = "an <origin> with rpy and quat_xyzw, or with a quaternion that is no rotation";
+                let message = "an <origin> with both rpy and quat_xyzw, or with a quaternion that is not a rotation";
                 return Err(source.error(
                     element.span.clone(),
                     message,

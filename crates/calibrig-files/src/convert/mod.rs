@@ -1,7 +1,7 @@
-//! Robots in other forms made into robot files: a URDF as vendors have it, and a table of Denavit-Hartenberg rows.
+//! Converts robots from other forms to robot files: a vendor's URDF, and a table of Denavit-Hartenberg rows.
 //!
-//! What is made is the text of a `robot.toml`, with everything that was assumed marked in it; the robot is then read from that text, so that a
-//! file in between changes nothing. The kinematics of the text are compared with those of the URDF before it is given out.
+//! The result is the text of a `robot.toml`, with every assumption marked in it; the robot is then read from that text, so that a file in
+//! between changes nothing. The kinematics of the text are compared with those of the URDF before it is returned.
 
 mod bodies;
 mod chain;
@@ -33,22 +33,22 @@ use tree::Tree;
 pub use dh::{Convention, robot_from_dh};
 pub use tables::{StandardRow, StandardTable, craig_table, standard_table};
 
-/// Largest difference between a URDF's kinematics and those of the table that is made of it, m at the tip and at a metre from it.
+/// Largest difference between a URDF's kinematics and those of the table made from it, m at the tip and at a metre from it.
 pub const AGREEMENT: f64 = 1e-10;
 
 /// Poses at which both are compared.
 const POSES: usize = 1000;
 
-/// What of a URDF is wanted, and what it does not say.
+/// What to take from a URDF, and what it does not state.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct UrdfOptions {
-    /// Link whose frame is the base; the root without it.
+    /// Link whose frame is the base; the root if absent.
     pub base: Option<String>,
-    /// Link whose frame is the flange; the end of the tree without it, where there is one.
+    /// Link whose frame is the flange; if absent, the end of the tree, if there is only one.
     pub tip: Option<String>,
     /// The target in the flange's frame, m.
     pub target: Option<Vector3<f64>>,
-    /// Gravity in the base's frame, m/s²; against its z axis without it.
+    /// Gravity in the base's frame, m/s²; against its z axis if absent.
     pub gravity: Option<Vector3<f64>>,
 }
 
@@ -59,16 +59,16 @@ pub struct Converted {
     pub source: Source,
     /// The robot, read from it.
     pub robot: Robot,
-    /// What was passed over, chosen and assumed, a line each.
+    /// What was ignored, chosen and assumed, one line each.
     pub remarks: Vec<String>,
-    /// Largest difference from what it was made of, m, at a metre from the tip; `None` where there is nothing to compare with.
+    /// Largest difference from the original, m, at a metre from the tip; `None` if there is nothing to compare with.
     pub difference: Option<f64>,
 }
 
-/// What was made of a chain, to compare it.
+/// What was made from a chain, for comparison.
 struct Compared<'a> {
     chain: &'a Chain,
-    /// How every joint that follows another one does: (follower, leader, ratio, offset).
+    /// How joints follow others: (follower, leader, ratio, offset).
     follows: Vec<(usize, usize, f64, f64)>,
 }
 
@@ -76,7 +76,8 @@ struct Compared<'a> {
 ///
 /// # Errors
 ///
-/// [`InputError`] that points into the URDF: text that is no URDF, links that make no single chain, joints that no table can have, and tables whose kinematics differ.
+/// [`InputError`] that points into the URDF: text that is not a URDF, links that do not form a single chain, joints that a table cannot hold, and
+/// tables whose kinematics differ.
 pub fn robot_from_urdf(source: &Source, options: &UrdfOptions) -> Result<Converted, InputError> {
     let tree = Tree::read(source)?;
     let finder = Finder { source, tree: &tree };
@@ -90,7 +91,7 @@ pub fn robot_from_urdf(source: &Source, options: &UrdfOptions) -> Result<Convert
         let index = chain.joints.iter().position(|other| other.name == joint.name);
         if follows.iter().all(|(follower, ..)| Some(*follower) != index) {
             assumed.push(format!(
-                "joint {} follows {}, which is outside of the chain: it is an axis of its own here",
+                "joint {} follows {}, which is outside the chain: here it is treated as an independent axis",
                 joint.name,
                 joint.mimic.as_ref().map_or("", |mimic| mimic.leader.as_str())
             ));
@@ -113,13 +114,14 @@ pub fn robot_from_urdf(source: &Source, options: &UrdfOptions) -> Result<Convert
     let made = Source::new(made_name(&source.name), text);
     let robot = parse_robot(made.clone(), None, None).map_err(|error| in_original(source, &error))?;
     let difference = difference(&robot, &Compared { chain: &chain, follows }, &limits);
-    // Asked this way round, NaN differs too.
+    // Written this way round, NaN also differs.
     if !(difference <= AGREEMENT) {
         let message = format!(
-            "the table that was made of this URDF differs from it by {difference:.1e} m at some pose: it is not given out"
+            "the table made from this URDF differs from it by {difference:.1e} m at some pose, so it was not written"
         );
         let expected =
-            format!("expected at most {AGREEMENT:.0e} m; lengths in m, and no joint kilometres away");
+            format!("expected a difference of at most {AGREEMENT:.0e} m; check that lengths are in m and that no joint is \
+                     kilometres away");
         return Err(source.error(tree.span.clone(), message, Some(expected)));
     }
     remarks.extend(faults);
@@ -128,7 +130,7 @@ pub fn robot_from_urdf(source: &Source, options: &UrdfOptions) -> Result<Convert
     Ok(Converted { source: made, robot, remarks, difference: Some(difference) })
 }
 
-/// The joints of the chain that follow others of it, through any that lie between.
+/// The joints of the chain that follow others in it, possibly through joints outside it.
 fn followers(
     source: &Source,
     tree: &Tree,
@@ -141,22 +143,22 @@ fn followers(
         let Some(mimic) = &joint.mimic else { continue };
         let mut mimic = mimic.clone();
         let mut names = vec![joint.name.clone()];
-        // The nearest joint of the chain; behind it the way is gone on with only to see that it ends.
+        // The nearest joint of the chain; beyond it, the path is followed only to check that it ends.
         let mut leader = None;
         loop {
             if names.contains(&mimic.leader) {
-                let message = format!("joint {} follows joints that follow each other", joint.name);
+                let message = format!("joint {} is in a circle of joints that follow each other", joint.name);
                 return Err(source.error(
                     joint.span.clone(),
                     message,
-                    Some("expected a <mimic> that ends at a joint of its own".to_owned()),
+                    Some("expected a <mimic> that leads to a joint without a <mimic>".to_owned()),
                 ));
             }
             if leader.is_none() {
                 leader = in_chain(&mimic.leader).map(|index| (index, mimic.ratio, mimic.offset));
             }
             names.push(mimic.leader.clone());
-            // Outside of the chain, it may follow one of it in turn.
+            // A joint outside the chain may in turn follow one in it.
             let Some(next) = finder.mimic_of(&mimic.leader)? else { break };
             mimic = chain::Mimic {
                 leader: next.leader,
@@ -169,10 +171,10 @@ fn followers(
     Ok(follows)
 }
 
-/// Largest distance between what table and URDF make of the tip and of points a metre from it, m.
+/// Largest distance between table and URDF at the tip and at points a metre from it, m.
 fn difference(robot: &Robot, compared: &Compared<'_>, limits: &[[f64; 2]]) -> f64 {
     let model = &robot.model;
-    // Two independent draws of the same poses would compare nothing: the seed is fixed, so that a file is made or refused, whoever asks.
+    // A fixed seed, so that the same file is always accepted or refused.
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let mut worst: f64 = 0.0;
     for _ in 0..POSES {
@@ -185,7 +187,7 @@ fn difference(robot: &Robot, compared: &Compared<'_>, limits: &[[f64; 2]]) -> f6
                 if low < high { random.random_range(low..high) } else { low }
             })
             .collect();
-        // Followers of followers come to rest in as many passes as there are joints.
+        // Followers of followers settle in as many passes as there are joints.
         for _ in &compared.follows {
             for (follower, leader, ratio, offset) in &compared.follows {
                 q[*follower] = ratio * q[*leader] + offset;
@@ -204,37 +206,37 @@ fn difference(robot: &Robot, compared: &Compared<'_>, limits: &[[f64; 2]]) -> f6
     worst
 }
 
-/// The flange at joint variables, by the table.
+/// The flange at joint variables, from the table.
 fn flange(robot: &Robot, q: &[f64]) -> Transform {
     let chain = &robot.model.kinematics;
     let links = chain.links.iter().zip(q);
     links.fold(chain.base_from_first, |at, (link, q)| at * link.transform(*q)) * chain.last_from_flange
 }
 
-/// A refusal of the robot file that was made, told of the file that it was made of: the other is nowhere to be looked at.
+/// An error of the robot file that was made, reported for the original file: the made one cannot be looked at.
 fn in_original(source: &Source, error: &InputError) -> InputError {
     let (said, help) = match error {
         InputError::Invalid { message, help, .. } => (message.clone(), help.clone()),
         other => (other.to_string(), None),
     };
-    // What is wrong has a name in it, mostly.
+    // The wrong value usually has a name in it.
     let mut named = said.split('"').skip(1).step_by(2).filter(|name| !name.is_empty());
     let span = named.find_map(|name| source.text.find(name).map(|at| at..at + name.len()));
-    source.error(span.unwrap_or(0..0), format!("no robot can be made of it: {said}"), help)
+    source.error(span.unwrap_or(0..0), format!("no robot can be made from it: {said}"), help)
 }
 
-/// Reaches of robots, m: a watchmaker's and a shipyard's.
+/// Reaches of robots, m: from a watchmaker's to a shipyard's.
 const REACHES: [f64; 2] = [0.02, 100.0];
 
-/// What is told of lengths that add up to what no robot has.
+/// Remark on lengths whose sum fits no robot.
 fn doubtful_reach(reach: f64) -> Option<String> {
     let [least, most] = REACHES;
     let told =
-        |unit: &str| format!("doubtful: the lengths add up to {reach:.4} m, which is no robot's: {unit}");
+        |unit: &str| format!("doubtful: the lengths add up to {reach:.4} m, which fits no robot: {unit}");
     if reach > most {
         Some(told("are they in mm?"))
     } else if reach > 0.0 && reach < least {
-        Some(told("are they in m, and read as mm?"))
+        Some(told("are they in m, but read as mm?"))
     } else {
         None
     }
@@ -247,7 +249,7 @@ fn doubtful_units(chain: &Chain) -> Vec<String> {
     let mut doubtful: Vec<String> = doubtful_reach(reach).into_iter().collect();
     if chain.largest_angle > MOST_TURNS {
         doubtful.push(format!(
-            "doubtful: rpy has {}, and a URDF's angles are rad: is it in deg?",
+            "doubtful: rpy has {}, and angles of a URDF are in rad: is it in deg?",
             chain.largest_angle
         ));
     }
@@ -258,7 +260,7 @@ fn doubtful_units(chain: &Chain) -> Vec<String> {
     let far: Vec<_> = chain.joints.iter().filter(is_far).map(|joint| joint.name.as_str()).collect();
     if !far.is_empty() {
         doubtful.push(format!(
-            "doubtful: the limits of {} are more than three turns away, and a URDF's angles are rad: are they in deg?",
+            "doubtful: the limits of {} are more than three turns from zero, and angles of a URDF are in rad: are they in deg?",
             far.join(", ")
         ));
     }
@@ -270,7 +272,7 @@ const MOST_TURNS: f64 = std::f64::consts::TAU + 1e-3;
 /// Three turns and a little, rad: some last joints go so far.
 const FAR_TURNED: f64 = 20.0;
 
-/// What the robot file is called where none is written: as the file that it was made of, with another ending.
+/// Name of the robot file if none is written: that of the original, with another ending.
 fn made_name(name: &str) -> String {
     Path::new(name).with_extension("toml").display().to_string()
 }

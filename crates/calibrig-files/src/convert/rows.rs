@@ -8,7 +8,7 @@ use super::chain::Chain;
 use calibrig_model::geometry::{Transform, rotation_z, translation};
 use calibrig_model::{CraigLink, JointKind, KinematicModel};
 
-/// Axes that enclose less are nearly parallel, rad: their common normal may lie anywhere.
+/// Axes that enclose less are nearly parallel, rad: their common normal may be anywhere.
 const NEARLY_PARALLEL: f64 = 0.05;
 
 /// Lengths (m) and angles (rad) below this are rounding.
@@ -77,11 +77,11 @@ fn within_a_quarter(length: f64, angle: f64) -> f64 {
     }
 }
 
-/// The table of a chain, and the frames of its links at zero in the base. Every joint variable is that of the chain: what its zero is off the
-/// table's is in theta or d.
+/// The table of a chain, and the frames of its links at zero in the base. Every joint variable is that of the chain: the offset between its
+/// zero and the table's is in theta or d.
 pub(super) fn table(chain: &Chain, limits: &[[f64; 2]]) -> (KinematicModel, Vec<Transform>) {
     let mut at = Transform::identity();
-    // The frame on the present axis behind a, alpha and beta of its row; at first the base.
+    // The frame on the present axis after a, alpha and beta of its row; at first the base.
     let mut frame = Transform::identity();
     let mut base_from_first = Transform::identity();
     let mut links: Vec<CraigLink> = Vec::new();
@@ -91,7 +91,7 @@ pub(super) fn table(chain: &Chain, limits: &[[f64; 2]]) -> (KinematicModel, Vec<
         let direction = Unit::new_normalize(into.rotation * joint.axis.into_inner());
         let point = match joint.kind {
             JointKind::Revolute => into.translation.vector,
-            // Of a slide the direction alone counts: through the origin, it needs no lengths.
+            // For a sliding joint only the direction matters: through the origin, it needs no lengths.
             JointKind::Prismatic => Vector3::zeros(),
         };
         let step = step(&point, &direction);
@@ -119,7 +119,7 @@ pub(super) fn table(chain: &Chain, limits: &[[f64; 2]]) -> (KinematicModel, Vec<
     (model, frames)
 }
 
-/// Theta and d of the last row, and what is left between its frame and the tip.
+/// Theta and d of the last row, and the transform from its frame to the tip.
 fn end(last: &mut CraigLink, into: &Transform) -> Transform {
     let (place, turn) = (into.translation.vector, into.rotation.matrix());
     let on_axis = place.xy().norm() < ROUNDING && turn.column(2).xy().norm() < ROUNDING && turn.m33 > 0.0;

@@ -1,4 +1,4 @@
-//! Tables of Denavit-Hartenberg rows made of a chain, as text that `robot_from_dh` reads.
+//! Tables of Denavit-Hartenberg rows made from a chain, as text that `robot_from_dh` reads.
 
 use std::fmt::Write as _;
 
@@ -10,7 +10,7 @@ use super::text::{line, roll_pitch_yaw};
 use calibrig_model::geometry::{Transform, rotation_x, rotation_z, translation};
 use calibrig_model::{CraigLink, JointKind, KinematicModel};
 
-/// Axes that enclose less count as parallel, rad: their common normal would lie farther away than numbers reach.
+/// Axes that enclose less count as parallel, rad: their common normal would be too far away for the numbers.
 const PARALLEL: f64 = 1e-9;
 
 /// Poses at which a table is compared with the chain that it is made of.
@@ -23,13 +23,13 @@ pub struct StandardTable {
     pub text: String,
     /// Its rows, `Rz(theta) Tz(d) Tx(a) Rx(alpha)`.
     pub rows: Vec<StandardRow>,
-    /// From the base to the frame that the first row starts from.
+    /// From the base to the frame from which the first row starts.
     pub base_from_first: Transform,
     /// From the frame of the last row to the flange.
     pub last_from_flange: Transform,
     /// Largest distance from the chain at the flange and at a metre from it, m, over poses within the limits.
     pub difference: f64,
-    /// How far the farthest common normal is out along an axis, m.
+    /// Distance of the farthest common normal along an axis, m.
     pub farthest: f64,
 }
 
@@ -72,8 +72,8 @@ pub fn craig_table(chain: &KinematicModel, remarks: &[String]) -> String {
     text
 }
 
-/// The same motions in rows of the standard convention: each row goes along the common normal of two neighbouring axes. They are those of the chain to
-/// rounding, which grows with how far out the common normals of nearly parallel axes are: [`StandardTable::difference`].
+/// The same motions in rows of the standard convention: each row goes along the common normal of two neighbouring axes. They equal those of the chain
+/// to rounding, which grows with the distance of the common normals of nearly parallel axes: [`StandardTable::difference`].
 pub fn standard_table(chain: &KinematicModel, remarks: &[String]) -> StandardTable {
     let mut axes = chain.links.iter().scan(chain.base_from_first, |at, link| {
         *at *= link.fixed_part();
@@ -102,7 +102,8 @@ pub fn standard_table(chain: &KinematicModel, remarks: &[String]) -> StandardTab
     table.difference = difference(chain, &table);
     let mut said = remarks.to_vec();
     said.push(format!(
-        "The same motions as the chain to {:.1e} m at the flange and at a metre from it; the farthest common normal is {:.3} m out.",
+        "Its motions agree with the chain's within {:.1e} m at the flange and at a metre from it; the farthest common normal \
+         is {:.3} m away.",
         table.difference, table.farthest
     ));
     let mut text = String::new();

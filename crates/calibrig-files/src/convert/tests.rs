@@ -111,8 +111,8 @@ fn a_chain_may_go_up_the_tree_and_down_again() {
 #[test]
 fn no_masses_cost_gravity_and_not_the_command() {
     for (from, to, said) in [
-        ("<mass value=\"7\"/>", "<mass value=\"0\"/>", "no mass: link arm and what is fixed to it"),
-        ("<mass value=\"2\"/>", "", "no mass: link hand and what is fixed to it"),
+        ("<mass value=\"7\"/>", "<mass value=\"0\"/>", "no mass: link arm and the links fixed to it"),
+        ("<mass value=\"2\"/>", "", "no mass: link hand and the links fixed to it"),
     ] {
         let made = convert(&TWO.replacen(from, to, 1)).expect("kinematics");
         assert!(made.robot.model.statics.is_none());
@@ -180,14 +180,14 @@ fn base_and_tip_choose_and_what_can_be_meant_is_listed() {
     assert!(between(&tree, "base", "probe").is_ok());
     // The convention of ROS-Industrial decides, and is told.
     let made = convert(&tree.replace("\"tool\"", "\"tool0\"")).expect("tool0");
-    assert!(made.remarks.iter().any(|line| line.contains("tip: tool0, and not probe")), "{:?}", made.remarks);
+    assert!(made.remarks.iter().any(|line| line.contains("tip: tool0, not probe")), "{:?}", made.remarks);
     let said = refused(between(TWO, "base", "tol"));
-    assert!(said.contains("--tip tol: there is no such link") && said.contains("arm, hand, tool"), "{said}");
-    assert!(refused(between(TWO, "base", "swing")).contains("swing is a joint, from link base to link arm"));
-    assert!(refused(between(TWO, "hand", "tool")).contains("no joint moves between hand and tool"));
+    assert!(said.contains("--tip tol: no link has this name") && said.contains("arm, hand, tool"), "{said}");
+    assert!(refused(between(TWO, "base", "swing")).contains("swing is the joint from link base to link arm"));
+    assert!(refused(between(TWO, "hand", "tool")).contains("no joint between hand and tool moves"));
     let two_roots = TWO.replacen("</robot>", "<link name=\"b\"/><link name=\"c\"/><joint name=\"q\" type=\"prismatic\"><parent link=\"b\"/><child link=\"c\"/></joint></robot>", 1);
-    assert!(refused(convert(&two_roots)).contains("2 links hang on no joint: base, b"));
-    assert!(refused(between(&two_roots, "base", "c")).contains("hang on different roots"));
+    assert!(refused(convert(&two_roots)).contains("2 links are not connected to any joint: base, b"));
+    assert!(refused(between(&two_roots, "base", "c")).contains("belong to different trees"));
     assert!(between(&two_roots, "base", "tool").is_ok());
 }
 
@@ -206,12 +206,12 @@ fn mistakes_are_named_with_their_line_and_what_was_expected() {
             "type=\"planar\"",
             "joint twist is planar",
             13,
-            "--base and --tip may leave it out",
+            "--base and --tip so that this joint is not between them",
         ),
         (
             "<axis xyz=\"0 -1 0\"/>",
             "<axis xyz=\"0 0 0\"/>",
-            "the axis of joint swing has no direction",
+            "the axis of joint swing has length zero",
             10,
             "direction",
         ),
@@ -224,16 +224,16 @@ fn mistakes_are_named_with_their_line_and_what_was_expected() {
         ),
         ("rpy=\"0.3 0 0\"", "rpy=\"0.3 nan 0\"", "rpy of <origin>", 9, "3 finite numbers"),
         ("<mass value=\"7\"/>", "<mass value=\"-7\"/>", "the mass of link arm is -7 kg", 4, "zero or more"),
-        ("<child link=\"arm\"/>", "<child link=\"leg\"/>", "names a link leg that is not there", 8, "link"),
+        ("<child link=\"arm\"/>", "<child link=\"leg\"/>", "names a link leg that does not exist", 8, "link"),
         ("<link name=\"hand\">", "<link name=\"arm\">", "a second link named arm", 5, "one link"),
         (
             "<child link=\"tool\"/>",
             "<child link=\"arm\"/>",
-            "which joint swing carries too",
+            "which is already the child of joint swing",
             18,
-            "one joint a link",
+            "one parent joint per link: a URDF cannot hold",
         ),
-        ("<child link=\"arm\"/>", "<child link=\"arm\"/", "not the XML of a URDF", 8, "URDF"),
+        ("<child link=\"arm\"/>", "<child link=\"arm\"/", "not valid XML:", 8, "URDF"),
         (
             "<axis xyz=\"1 0 0\"/>",
             "<axis xyz=\"1 0 0\"/><axis xyz=\"0 0 1\"/>",
@@ -253,12 +253,12 @@ fn mistakes_are_named_with_their_line_and_what_was_expected() {
             "joint name=\"swing\"",
             "a second joint named swing",
             13,
-            "one joint of a name",
+            "a different name for each joint",
         ),
         (
             "<limit lower=\"-1\" upper=\"1.5\"",
             "<limit lower=\"1.5\" upper=\"-1\"",
-            "lower of joint swing is above its upper",
+            "the lower limit of joint swing is above its upper limit",
             11,
             "lower below upper",
         ),
@@ -385,8 +385,8 @@ fn a_delimiter_in_quotes_is_no_delimiter() {
 fn columns_of_a_table_that_are_passed_over_are_told() {
     let text = "No;a_mm;alpha_deg;d_mm;theta_deg;Mass (kg);Remark\n1;0;90;400;0;7,5;x\n";
     let made = table(text, Convention::Craig).expect("a table");
-    let told = made.remarks.iter().find(|line| line.starts_with("passed over"));
-    assert_eq!(told.map(String::as_str), Some("passed over: the columns Mass (kg), Remark"));
+    let told = made.remarks.iter().find(|line| line.starts_with("ignored:"));
+    assert_eq!(told.map(String::as_str), Some("ignored: the columns Mass (kg), Remark"));
 }
 
 #[test]
@@ -396,19 +396,19 @@ fn tables_that_cannot_be_are_refused_with_their_cell() {
         (String::new(), "the table is empty", 1),
         (HEAD.to_owned(), "the table has no rows", 1),
         ("name,a,alpha_deg,d_mm,theta_deg\nJ,0,0,0,0\n".to_owned(), "the column a has no unit", 1),
-        ("name,a_deg,alpha_deg,d_mm,theta_deg\nJ,0,0,0,0\n".to_owned(), "or one of the other kind", 1),
+        ("name,a_deg,alpha_deg,d_mm,theta_deg\nJ,0,0,0,0\n".to_owned(), "or a unit of the other kind", 1),
         ("name,a_mm,d_mm,theta_deg\nJ,0,0,0\n".to_owned(), "there is no column alpha", 1),
-        (format!("{HEAD}J1,0,0,0\n"), "4 cells, the header has 5", 2),
-        (format!("{HEAD}J1,0,0,0,x\n"), "\"x\" is no number", 2),
+        (format!("{HEAD}J1,0,0,0\n"), "4 cells, but the header has 5", 2),
+        (format!("{HEAD}J1,0,0,0,x\n"), "\"x\" is not a number", 2),
         (format!("{HEAD}J1,0,0,0,0\nJ2,,0,0,0\n"), "an empty cell", 3),
         (format!("{HEAD}J1,0,0,q1,q1\n"), "both d and theta of J1 have a variable", 2),
         (format!("{HEAD}J1,q1,0,0,0\n"), "a of J1 has a joint variable", 2),
         (format!("{HEAD}J1,0,0,0,0\nJ1,0,0,0,0\n"), "a second joint \"J1\"", 3),
-        (format!("{HEAD}J1,0,0,0,1e400\n"), "is no number", 2),
+        (format!("{HEAD}J1,0,0,0,1e400\n"), "is not a number", 2),
         // The variable of another row's joint.
         (
             format!("{HEAD}J1,0,90,400,q2\nJ2,900,0,0,q1\n"),
-            "\"q2\" is the variable of another joint than J1",
+            "\"q2\" is the variable of another joint, not of J1",
             2,
         ),
         (

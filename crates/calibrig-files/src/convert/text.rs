@@ -1,4 +1,4 @@
-//! The text of a robot file that is made of a chain, with what was assumed.
+//! The text of a robot file made from a chain, with its assumptions.
 
 use std::f64::consts::TAU;
 use std::fmt::Write;
@@ -32,21 +32,20 @@ pub(super) struct Bodies {
     stiffness: Vec<f64>,
 }
 
-/// How far a drive is taken to yield under what it carries with the arm stretched out, rad or m per m of it.
+/// Assumed deflection of a drive under its load with the arm stretched out, rad or m per m of it.
 const SAG: f64 = 1e-3;
 
-/// The softest drive is taken to be at least this part of the stiffest one of its kind.
+/// The softest drive is assumed to have at least this share of the stiffness of the stiffest one of its kind.
 const SOFTEST: f64 = 0.02;
 
-/// How well they are known: drives with gears are about as stiff as that, cables and belts ten times softer.
+/// How well they are known: geared drives have about this stiffness, cables and belts a tenth of it.
 const COMPLIANCE_PERCENT: f64 = 1000.0;
-
 
 /// Travel of a slide whose limits are not stated, m either way.
 const SLIDE: f64 = 1.0;
 
 impl Bodies {
-    /// `None` where a joint carries nothing with a mass: no deflection can be predicted then.
+    /// `None` if a joint carries nothing with a mass: then no deflection can be predicted.
     pub fn of(in_base: &[Option<Body>], frames: &[Transform], chain: &Chain) -> Option<Self> {
         let bodies: Vec<Body> = in_base
             .iter()
@@ -68,7 +67,7 @@ fn in_frame(body: &Body, base_from_link: &Transform) -> Body {
     }
 }
 
-/// Of every drive what yields [`SAG`] under all that it carries, stretched out.
+/// For every drive, the stiffness that deflects by [`SAG`] under its whole load, stretched out.
 fn stiffness(bodies: &[Body], frames: &[Transform], chain: &Chain) -> Option<Vec<f64>> {
     let place = |joint: usize| frames[joint].translation.vector;
     let load = |joint: usize| {
@@ -82,7 +81,9 @@ fn stiffness(bodies: &[Body], frames: &[Transform], chain: &Chain) -> Option<Vec
         }
         match chain.joints[joint].kind {
             JointKind::Revolute => torque / SAG,
-            JointKind::Prismatic => STANDARD_GRAVITY * bodies[joint..].iter().map(|b| b.mass).sum::<f64>() / SAG,
+            JointKind::Prismatic => {
+                STANDARD_GRAVITY * bodies[joint..].iter().map(|b| b.mass).sum::<f64>() / SAG
+            }
         }
     };
     let stiffness: Vec<f64> = (0..bodies.len()).map(load).collect();
@@ -98,7 +99,7 @@ fn stiffness(bodies: &[Body], frames: &[Transform], chain: &Chain) -> Option<Vec
     floored.collect()
 }
 
-/// A guess has no more.
+/// A guess has no more digits.
 fn two_digits(value: f64) -> f64 {
     let unit = 10_f64.powf(value.log10().floor() - 1.0);
     (value / unit).round() * unit
@@ -113,7 +114,7 @@ pub(super) fn limits(chain: &Chain) -> (Vec<[f64; 2]>, Vec<String>) {
                 JointKind::Revolute => ([-TAU, TAU], "-360 to 360 deg"),
                 JointKind::Prismatic => ([-SLIDE, SLIDE], "-1000 to 1000 mm"),
             };
-            let why = if joint.continuous { "is continuous" } else { "states no limits" };
+            let why = if joint.continuous { "is continuous, and has no limits" } else { "states no limits" };
             assumed.push(format!("limits of joint {}, which {why}: {words}", joint.name));
             limits
         })
@@ -122,7 +123,7 @@ pub(super) fn limits(chain: &Chain) -> (Vec<[f64; 2]>, Vec<String>) {
     (limits, assumed)
 }
 
-/// A number as it is read back, without the last digits of its rounding where a rounder one is meant.
+/// A number that reads back to itself, or without the last digits if these are rounding of a rounder one.
 pub(super) fn number(value: f64) -> String {
     for digits in 0..=9 {
         let scale = 10_f64.powi(digits);
@@ -144,12 +145,12 @@ pub(super) fn deg(value: f64) -> String {
     number(value.to_degrees())
 }
 
-/// Roll, pitch and yaw of a rotation, exact also where pitch is a quarter turn.
+/// Roll, pitch and yaw of a rotation, also exact if pitch is a quarter turn.
 pub(crate) fn roll_pitch_yaw(rotation: &Rotation3<f64>) -> [f64; 3] {
     let r = rotation.matrix();
     let across = r.m11.hypot(r.m21);
     let pitch = (-r.m31).atan2(across);
-    // At a quarter turn roll and yaw do the same; the roll below then takes up what the yaw leaves.
+    // At a quarter turn roll and yaw are equivalent; the roll below then takes up the rest.
     let yaw = if across > 1e-14 { r.m21.atan2(r.m11) } else { 0.0 };
     let (sin, cos) = yaw.sin_cos();
     let roll = (sin * r.m13 - cos * r.m23).atan2(cos * r.m22 - sin * r.m12);
@@ -214,7 +215,7 @@ pub(super) fn row(text: &mut String, link: &CraigLink, comments: [&str; 2]) {
 }
 
 impl Text<'_> {
-    /// The text, and what it assumes beyond `assumed`.
+    /// The text, and its assumptions beyond `assumed`.
     pub fn write(&self, remarks: &[String], assumed: &[String]) -> (String, Vec<String>) {
         let mut more = Vec::new();
         let mut text = String::new();
@@ -231,12 +232,13 @@ impl Text<'_> {
         );
         line!(
             text,
-            "# Joint variables, their signs and their zeros are those of the file; theta_deg (d_mm) holds what its zero is off the table's."
+            "# Joint variables, their signs and their zeros are those of the file; theta_deg (d_mm) holds the offset between \
+             its zero and the table's."
         );
         for remark in remarks.iter().chain(self.faults) {
             line!(text, "# {}", one_line(remark));
         }
-        line!(text, "# What is marked \"assumed\" the file does not say: look at it.");
+        line!(text, "# Values marked \"assumed\" are not in the file: check them.");
         line!(text);
         line!(text, "schema = \"calibrig.robot/1\"");
         line!(text, "name = {}", quoted(self.name));
@@ -244,7 +246,8 @@ impl Text<'_> {
         if self.bodies.is_some() {
             line!(
                 text,
-                "# Assumed: the stiffnesses below are guesses, and rather too high than too low; drives may be many times softer."
+                "# Assumed: the stiffnesses below are guesses, more likely too high than too low; drives may be many times \
+                 softer."
             );
             line!(text, "compliance_percent = {COMPLIANCE_PERCENT}");
         }
@@ -263,7 +266,7 @@ impl Text<'_> {
         }
         if let Some(target) = self.target {
             line!(text);
-            line!(text, "# As asked for (--target-mm), in the frame of {}.", one_line(tip));
+            line!(text, "# As given by --target-mm, in the frame of {}.", one_line(tip));
             line!(text, "[target]");
             let [x, y, z] = [target.x, target.y, target.z].map(mm);
             line!(text, "x_mm = {x}\ny_mm = {y}\nz_mm = {z}");
@@ -273,21 +276,23 @@ impl Text<'_> {
                 let gravity = self.gravity.unwrap_or(Vector3::new(0.0, 0.0, -STANDARD_GRAVITY));
                 line!(text);
                 match self.gravity {
-                    Some(_) => line!(text, "# As asked for (--gravity-m-per-s2), in the frame of {}.", one_line(base)),
+                    Some(_) => line!(text, "# As given by --gravity-m-per-s2, in the frame of {}.", one_line(base)),
                     None => {
-                        line!(text, "# Assumed: {} stands upright, its z axis against gravity.", one_line(base));
+                        line!(text, "# Assumed: {} stands upright, its z axis pointing up.", one_line(base));
                         more.push(format!("gravity along -z of {base} (--gravity-m-per-s2)"));
                     }
                 }
                 line!(text, "[gravity]");
                 line!(text, "x_m_per_s2 = {}\ny_m_per_s2 = {}\nz_m_per_s2 = {}", gravity.x, gravity.y, gravity.z);
                 more.push(format!(
-                    "stiffnesses of the drives, of which the file says nothing: {} mrad (mm) of sag under what each carries, and compliance_percent = {COMPLIANCE_PERCENT}",
+                    "stiffnesses of the drives, which the file does not state: {} mrad (mm) of sag under what each carries, \
+                     and compliance_percent = {COMPLIANCE_PERCENT}",
                     1e3 * SAG
                 ));
             }
             None => more.push(
-                "no gravity modes: the file does not give every moving link a mass ([joint.body], stiffnesses and [gravity] may be added)".to_owned(),
+                "no gravity modes: the file does not give every moving link a mass ([joint.body], stiffnesses and [gravity] \
+                 can be added to the robot file)".to_owned(),
             ),
         }
         (text, more)
@@ -308,7 +313,7 @@ impl Text<'_> {
             self.follows.iter().find(|(follower, ..)| *follower == index)
         {
             let leader = &self.chain.joints[*leader];
-            line!(text, "# A <mimic>: it takes no command of its own.");
+            line!(text, "# A <mimic>: it has no command of its own.");
             line!(text, "[joint.follows]");
             line!(text, "joint = {}", quoted(&leader.name));
             let unit = |kind| if kind == JointKind::Revolute { 1_f64.to_radians() } else { 1e-3 };
@@ -337,7 +342,7 @@ fn body(text: &mut String, body: &Body) {
     for (key, value) in
         [("ixx", i.m11), ("iyy", i.m22), ("izz", i.m33), ("ixy", i.m12), ("ixz", i.m13), ("iyz", i.m23)]
     {
-        // What the turning of axes leaves of a zero.
+        // The rounding of a zero after turning axes.
         let value = if value.abs() < 1e-12 * i.amax() { 0.0 } else { value };
         line!(text, "{key}_kg_m2 = {value}");
     }

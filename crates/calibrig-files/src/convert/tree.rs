@@ -1,6 +1,6 @@
-//! Any URDF as a tree of links and joints; what is not needed is counted and passed over.
+//! Any URDF as a tree of links and joints; elements that are not needed are counted and ignored.
 //!
-//! Values are read where the chain needs them, so that a mistake in a branch that nobody asked for does no harm.
+//! Values are read when the chain needs them, so that a mistake in an unused branch does no harm.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -11,13 +11,13 @@ use roxmltree::{Document, Error as XmlError, Node, ParsingOptions};
 use super::element::Element;
 use crate::input::{InputError, Source};
 
-/// More elements than any robot has: a larger file is refused before it takes the memory.
+/// More elements than any robot has: a larger file is refused before it uses up the memory.
 const MOST_NODES: u32 = 5_000_000;
 
-/// What of a joint is read.
+/// What is read of a joint.
 const READ_OF_JOINTS: [&str; 6] = ["parent", "child", "origin", "axis", "limit", "mimic"];
 
-/// A link with the elements that say something of its mass.
+/// A link with the elements that describe its mass.
 #[derive(Debug, Clone)]
 pub(super) struct Link {
     pub name: String,
@@ -25,7 +25,7 @@ pub(super) struct Link {
     pub inertial: Option<Element>,
 }
 
-/// A joint with the elements that say how it moves.
+/// A joint with the elements that describe its motion.
 #[derive(Debug, Clone)]
 pub(super) struct Joint {
     pub name: String,
@@ -45,23 +45,23 @@ pub(super) struct Tree {
     pub name: String,
     pub links: Vec<Link>,
     pub joints: Vec<Joint>,
-    /// Of every link, the joint that carries it; none of a root.
+    /// For every link, the joint whose child it is; none for a root.
     pub above: Vec<Option<usize>>,
     pub passed_over: PassedOver,
     pub span: Range<usize>,
 }
 
-/// How many of what was not needed.
+/// Counts of ignored elements.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct PassedOver(BTreeMap<String, usize>);
 
 impl fmt::Display for PassedOver {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.0.is_empty() {
-            return f.write_str("passed over: nothing");
+            return f.write_str("ignored: nothing");
         }
         let counts: Vec<_> = self.0.iter().map(|(name, count)| format!("{count} <{name}>")).collect();
-        write!(f, "passed over: {}", counts.join(", "))
+        write!(f, "ignored: {}", counts.join(", "))
     }
 }
 
@@ -115,7 +115,7 @@ impl Tree {
     }
 }
 
-/// How the text that is parsed differs from the file's: what was left out in front of it, and what was put into the root's tag.
+/// How the parsed text differs from the file's: what was left out in front of it, and what was added to the root's tag.
 #[derive(Debug, Clone, Copy)]
 struct Changed {
     lead: usize,
@@ -123,8 +123,8 @@ struct Changed {
     inserted: usize,
 }
 
-/// The text without what some editors leave in front, and with a declaration for every prefix that it uses and does not declare, as vendors'
-/// files do with extensions.
+/// The text without what some editors put in front, and with a declaration for every prefix that it uses without one, as vendors' files do
+/// with extensions.
 fn with_namespaces(source: &Source) -> Result<(String, Changed), InputError> {
     let mut text = source.text.trim_start_matches(|c: char| c.is_whitespace() || c == '\u{feff}').to_owned();
     let mut changed = Changed { lead: source.text.len() - text.len(), at: text.len(), inserted: 0 };
@@ -157,14 +157,15 @@ fn root_tag_end(text: &str) -> Option<usize> {
 fn xacro(source: &Source, at: usize) -> InputError {
     let output = match source.name.strip_suffix(".xacro") {
         Some(name) => format!("{}.urdf", name.trim_end_matches(".urdf")),
-        // Not onto the file itself.
+        // Not overwriting the file itself.
         None => format!("{}.expanded.urdf", source.name.trim_end_matches(".urdf")),
     };
     source.error(
         at..at + 1,
-        "this is xacro source, not a URDF: its macros are not expanded here",
+        "this is xacro source, not a URDF: xacro macros are not expanded here",
         Some(format!(
-            "expected a URDF: run `xacro {} > {output}` (ROS 2: `ros2 run xacro xacro ...`) with the arguments of the robot's package, and give {output}",
+            "expected a URDF: run `xacro {} > {output}` (ROS 2: `ros2 run xacro xacro ...`) with the arguments of the robot's \
+             package, and pass {output}",
             source.name
         )),
     )
@@ -180,9 +181,9 @@ fn refusal(source: &Source, lead: usize, error: &XmlError) -> InputError {
         line.chars().take(position.col.saturating_sub(1) as usize).map(char::len_utf8).sum::<usize>();
     let at = lead + start + column;
     let said = error.to_string();
-    // The place is told by the line of this message.
+    // This message names the line.
     let said = said.split(" at ").next().unwrap_or_default().replace('\n', "the end of the line");
-    source.error(at..at + 1, format!("not the XML of a URDF: {said}"), Some("expected a URDF".to_owned()))
+    source.error(at..at + 1, format!("not valid XML: {said}"), Some("expected a URDF".to_owned()))
 }
 
 struct Reader<'a> {
@@ -191,7 +192,7 @@ struct Reader<'a> {
 }
 
 impl Reader<'_> {
-    /// A place in the file of one in the text that was parsed.
+    /// The place in the file of a place in the parsed text.
     fn place(&self, range: Range<usize>) -> Range<usize> {
         let Changed { lead, at, inserted } = self.changed;
         let back = |place: usize| lead + if place > at { place - inserted } else { place };
@@ -214,8 +215,8 @@ impl Reader<'_> {
             return Err(xacro(self.source, self.place(tag(&node)).start));
         }
         if local(&root) != "robot" {
-            let message = format!("the file is a <{}>", qualified(&root));
-            return self.error(span, message, "a URDF, which is a <robot>");
+            let message = format!("the root element is <{}>", qualified(&root));
+            return self.error(span, message, "a URDF, whose root element is <robot>");
         }
         let mut passed_over = PassedOver::default();
         passed_over.add_unread(&root, &["link", "joint"]);
@@ -230,7 +231,7 @@ impl Reader<'_> {
             let name = self.required(&node, "name")?;
             let span = self.place(tag(&node));
             if by_name.insert(name.clone(), links.len()).is_some() {
-                return self.error(span, format!("a second link named {name}"), "one link of a name");
+                return self.error(span, format!("a second link named {name}"), "a different name for each link");
             }
             self.check_single(&node, &format!("link {name}"), &["inertial"])?;
             let inertial = child(&node, "inertial");
@@ -252,14 +253,14 @@ impl Reader<'_> {
             let joint = self.joint(&node, &by_name)?;
             if !joint_names.insert(joint.name.clone()) {
                 let message = format!("a second joint named {}", joint.name);
-                return self.error(joint.span, message, "one joint of a name");
+                return self.error(joint.span, message, "a different name for each joint");
             }
             if let Some(other) = above[joint.child].replace(joints.len()) {
                 let message = format!(
-                    "joint {} carries link {}, which joint {} carries too",
+                    "joint {} has the child link {}, which is already the child of joint {}",
                     joint.name, links[joint.child].name, joints[other].name
                 );
-                return self.error(joint.span, message, "one joint a link: loops are no URDF");
+                return self.error(joint.span, message, "one parent joint per link: a URDF cannot hold loops");
             }
             joints.push(joint);
         }
@@ -272,7 +273,7 @@ impl Reader<'_> {
         Ok(Tree { name, links, joints, above, passed_over, span })
     }
 
-    /// Refuses a second element of a name of which the first would be taken.
+    /// Refuses a second element of a name, of which only the first would be read.
     fn check_single(&self, node: &Node<'_, '_>, of: &str, names: &[&str]) -> Result<(), InputError> {
         let second =
             |name: &&str| node.children().filter(|child| child.is_element() && local(child) == *name).nth(1);
@@ -280,7 +281,7 @@ impl Reader<'_> {
             Some(second) => self.error(
                 self.place(tag(&second)),
                 format!("{of} has more than one <{}>", local(&second)),
-                "one of them",
+                "only one",
             ),
             None => Ok(()),
         }
@@ -298,7 +299,7 @@ impl Reader<'_> {
             match links.get(&link) {
                 Some(index) => Ok(*index),
                 None => {
-                    let message = format!("joint {name} names a link {link} that is not there");
+                    let message = format!("joint {name} names a link {link} that does not exist");
                     self.error(self.place(tag(&at)), message, "the name of a link")
                 }
             }

@@ -1,4 +1,4 @@
-//! Lines of a text that is not held as a whole, with their true numbers.
+//! Lines of a text that is not in memory as a whole, with their line numbers.
 
 use std::ops::Range;
 
@@ -33,16 +33,16 @@ impl Excerpt {
     }
 }
 
-/// A line longer than this is not shown as a whole, bytes: whoever reads the error would see nothing else, and what draws it counts columns in 16 bits.
+/// A line longer than this is not shown as a whole, bytes: it would hide everything else, and the renderer counts columns in 16 bits.
 const LONG: usize = 400;
-/// Of such a line this is shown to either side of the place, bytes.
+/// Bytes shown of such a line on either side of the place.
 const BESIDE: usize = 100;
 /// Lines to either side of a place that are shown with it.
 const AROUND: usize = 3;
 
 impl Excerpt {
-    /// What is shown of the text for an error at `span` (bytes), and where the span is in that: all of it, or a piece of the line where the lines around are too long. The span is
-    /// on boundaries of characters.
+    /// The excerpt of the text for an error at `span` (bytes), and the span within it: all of it, or a piece of the line if the surrounding lines are
+    /// too long. The span is on boundaries of characters.
     pub(super) fn shown_at(self, span: Range<usize>) -> (Self, Range<usize>) {
         let text = &self.text;
         let start = text.floor_char_boundary(span.start.min(text.len()));

@@ -1,4 +1,4 @@
-//! Keys and places in a TOML text, and the parser's errors in the words of the file.
+//! Keys and places in a TOML text, and the parser's errors in the terms of the file.
 
 use std::ops::Range;
 
@@ -13,7 +13,7 @@ pub(crate) fn quoted(text: &str) -> String {
     toml::Value::String(text.to_owned()).to_string()
 }
 
-/// A file's contents. A key whose unit is another one than the file's form has (`theta_rad` for `theta_deg`) is taken, and its value converted.
+/// A file's contents. A key whose unit differs from the file's form (`theta_rad` for `theta_deg`) is accepted, and its value converted.
 pub(super) fn read<T: DeserializeOwned>(source: &Source) -> Result<T, InputError> {
     let literals = units::Literals::of(&source.text);
     let mut table = DeTable::parse(&source.text).map_err(|error| refusal(source, &error))?;
@@ -26,14 +26,14 @@ pub(super) fn read<T: DeserializeOwned>(source: &Source) -> Result<T, InputError
             units::Converted::Yes => {}
             units::Converted::No => return Err(refusal(source, &error)),
             units::Converted::Twice { span, keys: [a, b] } => {
-                let message = format!("{a} and {b} are the same quantity");
-                return Err(source.error(span, message, Some("expected one of them".to_owned())));
+                let message = format!("{a} and {b} state the same quantity");
+                return Err(source.error(span, message, Some("expected only one of them".to_owned())));
             }
         }
     }
 }
 
-/// The key as the file has it at a value's place: it may have another unit.
+/// The key as in the file at a value's place: it may have another unit.
 pub(super) fn as_written(text: &str, key: &str, span: &Range<usize>) -> String {
     let found = key_at(text, span);
     let last = |key: &str| key.rsplit('.').next().unwrap_or_default().to_owned();
@@ -51,7 +51,7 @@ struct Value {
     span: Range<usize>,
 }
 
-/// Bytes of the value of `key`; the start of the text where the key is not there.
+/// Bytes of the value of `key`; the start of the text if the key is missing.
 pub(super) fn place_of(text: &str, key: &str) -> Range<usize> {
     values(text).into_iter().find(|value| value.key == key).map_or(0..0, |value| value.span)
 }
@@ -99,7 +99,7 @@ impl Mistake<'_> {
             return (format!("missing key {name}{table}"), format!("{name} with a value{unit}"));
         }
         if found == "duplicate key" {
-            return (format!("duplicate key `{literal}`"), "every key once".to_owned());
+            return (format!("duplicate key `{literal}`"), "every key only once".to_owned());
         }
         if self.behind_digit && self.rest.starts_with(',') && !key.is_empty() {
             return (format!("{key} has a decimal comma"), "a decimal point".to_owned());
@@ -111,17 +111,17 @@ impl Mistake<'_> {
                 (value(), "a number, true, false, or a text in quotes".to_owned())
             }
             "string values must be quoted" if !key.is_empty() => {
-                (format!("{key} has no value"), "a value behind the `=`".to_owned())
+                (format!("{key} has no value"), "a value after the `=`".to_owned())
             }
             "wanted string or table" if is_literal => (value(), "a text in quotes".to_owned()),
             "invalid type: sequence" if expected == "a table" => {
                 let name = key.rsplit('.').next().unwrap_or_default();
                 let message =
-                    format!("{key} is a list ([[{key}]], or [ ] in brackets), and there is one {name} here");
+                    format!("{key} is a list ([[{key}]], or [ ] in brackets), but only one {name} is possible here");
                 (message, format!("[{key}] in single brackets, once"))
             }
             "invalid type: map" if expected.starts_with("a list") => {
-                (format!("{key} is one table"), format!("[[{key}]] in double brackets, one table for each"))
+                (format!("{key} is a single table"), format!("[[{key}]] in double brackets, one table for each"))
             }
             _ if is_literal && found.ends_with("overflowed") => (value(), "a finite number".to_owned()),
             _ if is_literal && WRONG_VALUE.iter().any(|start| found.starts_with(start)) => {
@@ -161,7 +161,7 @@ const UNITS: [&str; 18] = [
     "s",
 ];
 
-/// What serde calls types, in the words of a TOML file.
+/// Serde's types, in terms of a TOML file.
 fn in_words(expected: &str) -> String {
     match expected {
         "f64" => "a number".to_owned(),
@@ -176,7 +176,7 @@ fn in_words(expected: &str) -> String {
     }
 }
 
-/// The known keys; where a unit was forgotten, those that are meant.
+/// The known keys; if a unit was forgotten, those that are meant.
 fn known_keys(unknown: &str, expected: &str) -> String {
     let start = format!("{}_", unknown.trim_end_matches('`'));
     let words = expected.split(", ").flat_map(str::split_whitespace);
@@ -188,7 +188,7 @@ fn known_keys(unknown: &str, expected: &str) -> String {
     }
 }
 
-/// A value as it stands in the file, cut where it is long.
+/// A value as it is in the file, cut if it is long.
 fn shortened(literal: &str) -> String {
     let line = literal.lines().next().unwrap_or_default();
     if line.len() == literal.len() && line.chars().count() <= 40 {
@@ -200,7 +200,7 @@ fn shortened(literal: &str) -> String {
 /// The key whose value lies closest around `span`; empty at the top of the file.
 fn key_at(text: &str, span: &Range<usize>) -> String {
     let around = |value: &Value| value.span.start <= span.start && span.end <= value.span.end;
-    // Of equals the last: the keys in a table come behind it.
+    // Among equals the last: the keys in a table come after it.
     let candidates = values(text).into_iter().filter(around).rev();
     candidates.min_by_key(|value| value.span.len()).map_or_else(String::new, |value| value.key)
 }
@@ -240,7 +240,7 @@ struct Step<'a> {
 const CALLED: [&str; 3] = ["joint", "name", "mode"];
 
 impl<'a> Step<'a> {
-    /// The steps of `effects.backlash.joint[rail].gap_um`; `None` where brackets do not close.
+    /// The steps of `effects.backlash.joint[rail].gap_um`; `None` if brackets do not close.
     fn all(key: &'a str) -> Option<Vec<Self>> {
         let mut steps = Vec::new();
         let mut rest = key;
@@ -273,7 +273,7 @@ impl<'a> Step<'a> {
 }
 
 /// Bytes of every value of `key`, in which a table of an array may be chosen: `poses.region[rail].half_width_mm`, `tracker.nest[2].x_mm`. Without a
-/// choice all tables of the array are looked through.
+/// choice, all tables of the array are searched.
 pub(super) fn places_of(text: &str, key: &str) -> Vec<Range<usize>> {
     let (table, _) = DeTable::parse_recoverable(text);
     let mut places = Vec::new();

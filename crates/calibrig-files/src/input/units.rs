@@ -1,4 +1,4 @@
-//! Keys of one quantity in different units: `theta_rad` where a file's form has `theta_deg`.
+//! Keys of one quantity in different units: `theta_rad` instead of the form's `theta_deg`.
 
 use std::borrow::Cow;
 use std::cell::{Cell, OnceCell};
@@ -45,14 +45,14 @@ impl Literals {
     }
 }
 
-/// What became of a key that is not known.
+/// The result for an unknown key.
 #[derive(Debug)]
 pub(super) enum Converted {
     /// It is known now.
     Yes,
-    /// It has no known one beside it.
+    /// No known key resembles it.
     No,
-    /// The quantity is there already.
+    /// The quantity is given already.
     Twice {
         /// Where the key is.
         span: Range<usize>,
@@ -82,7 +82,7 @@ pub(super) fn are_same_quantity(a: &str, b: &str) -> bool {
     }
 }
 
-/// Gives the key that `error` does not know the name and the unit of the one that is meant.
+/// Gives the key that `error` does not know the name and the unit of the known one.
 pub(super) fn convert<'t>(
     table: &mut Spanned<DeTable<'t>>,
     literals: &'t Literals,
@@ -106,7 +106,7 @@ struct Renaming<'e, 't> {
     literals: &'t Literals,
 }
 
-/// `None` where the key is not in this table.
+/// `None` if the key is not in this table.
 fn rename<'t>(table: &mut DeTable<'t>, renaming: &Renaming<'_, 't>) -> Option<Converted> {
     let is_meant = |key: &Spanned<Cow<'_, str>>| {
         key.get_ref() == renaming.unknown && key.span().start == renaming.span.start
@@ -117,7 +117,7 @@ fn rename<'t>(table: &mut DeTable<'t>, renaming: &Renaming<'_, 't>) -> Option<Co
             return Some(Converted::Twice { span: key.span(), keys });
         }
         let (key, mut value) = table.remove_entry(&key)?;
-        // What is no number is refused as what it is, under the name that is known.
+        // A value that is not a number is refused as such, under the known name.
         scale(value.get_mut(), renaming.factor, renaming.literals);
         table.insert(Spanned::new(key.span(), Cow::Owned(renaming.known.to_owned())), value);
         return Some(Converted::Yes);
@@ -208,7 +208,7 @@ mod tests {
     #[test]
     fn a_quantity_stands_once_and_mistakes_are_called_by_the_key_that_is_there() {
         for (text, message) in [
-            ("a_mm = 1\njoint = []\na_um = 3", "f.toml:3: a_mm and a_um are the same quantity"),
+            ("a_mm = 1\njoint = []\na_um = 3", "f.toml:3: a_mm and a_um state the same quantity"),
             ("a_kg = 1\njoint = []", "f.toml:1: unknown key `a_kg`"),
             ("a_m = 'x'\njoint = []", "f.toml:1: a_m is 'x'"),
         ] {

@@ -39,7 +39,7 @@ pub(super) struct QuoteError {
     pub is_open: bool,
 }
 
-/// Cuts the row's line into its cells. Surrounding blanks and quotes are no part of a cell.
+/// Cuts the row's line into its cells. Surrounding blanks and quotes are not part of a cell.
 pub(super) fn split(row: &mut Row, delimiter: &Delimiter) -> Result<(), QuoteError> {
     if let Delimiter::Widths(widths) = delimiter {
         split_at_widths(row, widths);
@@ -62,7 +62,7 @@ pub(super) fn split(row: &mut Row, delimiter: &Delimiter) -> Result<(), QuoteErr
     }
     let line = std::mem::take(row.line_mut());
     let split = Splitter { text: &line, at: 0, delimiter }.all(row);
-    // Cells that are no part of the line as they are stand behind it.
+    // Cells that are not verbatim in the line are stored after it.
     let behind = std::mem::replace(row.line_mut(), line);
     row.append(&behind);
     split
@@ -126,7 +126,7 @@ impl<'a> Splitter<'a> {
         self.at += rest.find(|c| !self.is_blank(c)).unwrap_or(rest.len());
     }
 
-    /// Behind the delimiter; false at the end of the line.
+    /// After the delimiter; false at the end of the line.
     fn skip_delimiter(&mut self) -> bool {
         self.skip_blanks();
         match (self.delimiter, self.rest().chars().next()) {
@@ -177,9 +177,9 @@ impl<'a> Splitter<'a> {
         self.skip_blanks();
         match self.rest().chars().next() {
             Some(c) if !self.is_end(c) && *self.delimiter != Delimiter::Blanks => {
-                return Err(QuoteError { span, message: "text behind a closing quote", is_open: false });
+                return Err(QuoteError { span, message: "text after a closing quote", is_open: false });
             }
-            // A line break in a name would be one in every message.
+            // A line break in a name would appear in every message.
             _ if text.contains(['\n', '\r']) => {
                 let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
                 row.push_behind(&text, self.text.len(), span);
@@ -222,7 +222,7 @@ mod tests {
             split(&mut row, &Delimiter::Character(',')).unwrap_err()
         };
         assert_eq!(broken("1,\"2,3").span, 2..6);
-        assert_eq!(broken("1,\"2\"3,4").message, "text behind a closing quote");
+        assert_eq!(broken("1,\"2\"3,4").message, "text after a closing quote");
     }
 
     /// What the csv crate writes with line breaks in cells has as many cells; breaks are blanks.

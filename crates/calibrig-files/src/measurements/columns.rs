@@ -1,15 +1,14 @@
 //! Which columns of a measurement file mean what, and in which unit.
 //!
-//! Without a map, calibrig's own columns are read (SI, unit in the name): `q1_rad` or `q1_m` and so on; either `range_m`, `az_rad`,
-//! `el_rad` or `x_m`, `y_m`, `z_m`; and, where the file has them, `pose`, `station`, `target`, `time_s`, `temperature_c`,
-//! `approach1` and so on, `since_reversal1_rad` (or `_m`) and so on, what the flange carries (`payload`, a name, with `payload_mass_kg`, `payload_x_m`,
-//! `payload_y_m`, `payload_z_m`, and `payload_force_x_n`, `payload_force_y_n`, `payload_force_z_n`; empty where nothing), and the uncertainty:
-//! `sigma_range_m`, `sigma_az_rad`, `sigma_el_rad` (`sigma_x_m`, `sigma_y_m`,
-//! `sigma_z_m`), or the covariance's upper triangle `cov_range_range_m2`, `cov_range_az_m_rad`, `cov_range_el_m_rad`,
-//! `cov_az_az_rad2`, `cov_az_el_rad2`, `cov_el_el_rad2` (`cov_xx_m2`, `cov_xy_m2`, `cov_xz_m2`, `cov_yy_m2`, `cov_yz_m2`,
-//! `cov_zz_m2`). A full pose has beside `x_m`, `y_m`, `z_m` its rotation `tracker_from_target` by rows, `r11` to `r33`, `sigma_rx_rad`,
-//! `sigma_ry_rad`, `sigma_rz_rad` beside the sigmas of the place, or the 21 elements of both, `cov_x_rx_m_rad` and `cov_rx_rx_rad2` among them.
-//! A spherical reading may have its `face`, `front` or `back`.
+//! Without a map, calibrig's own columns are read (SI, unit in the name): `q1_rad` or `q1_m` and so on; either `range_m`, `az_rad`, `el_rad` or
+//! `x_m`, `y_m`, `z_m`; and, if the file has them, `pose`, `station`, `target`, `time_s`, `temperature_c`, `approach1` and so on,
+//! `since_reversal1_rad` (or `_m`) and so on, what the flange carries (`payload`, a name, with `payload_mass_kg`, `payload_x_m`, `payload_y_m`,
+//! `payload_z_m`, and `payload_force_x_n`, `payload_force_y_n`, `payload_force_z_n`; empty where nothing), and the uncertainty: `sigma_range_m`,
+//! `sigma_az_rad`, `sigma_el_rad` (`sigma_x_m`, `sigma_y_m`, `sigma_z_m`), or the covariance's upper triangle `cov_range_range_m2`,
+//! `cov_range_az_m_rad`, `cov_range_el_m_rad`, `cov_az_az_rad2`, `cov_az_el_rad2`, `cov_el_el_rad2` (`cov_xx_m2`, `cov_xy_m2`, `cov_xz_m2`,
+//! `cov_yy_m2`, `cov_yz_m2`, `cov_zz_m2`). A full pose has beside `x_m`, `y_m`, `z_m` its rotation `tracker_from_target` by rows, `r11` to `r33`,
+//! `sigma_rx_rad`, `sigma_ry_rad`, `sigma_rz_rad` beside the sigmas of the place, or the 21 elements of both, `cov_x_rx_m_rad` and `cov_rx_rx_rad2`
+//! among them. A spherical reading may have its `face`, `front` or `back`.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -29,9 +28,9 @@ use nalgebra::{Matrix3, Vector3};
 pub struct ColumnMap {
     /// `None` for calibrig's own columns, which depend on the robot's joints and on the file's header.
     mapping: Option<Mapping>,
-    /// Whether a file in calibrig's own columns is read as one although there is a mapping.
+    /// Whether a file in calibrig's own columns is read as such even if there is a mapping.
     or_own: bool,
-    /// Whether target and station are read where a file has their columns, and not called for.
+    /// Whether target and station are optional: read if a file has their columns.
     names_where_there: bool,
     /// The text of the map.
     source: Option<Arc<Source>>,
@@ -69,7 +68,7 @@ pub(super) struct Mapping {
     pub table: TableFormat,
 }
 
-/// Columns that make one quantity: as written, which may be the name of a single column, and as a signed sum.
+/// Columns that form one quantity: as written, which may be the name of a single column, and as a signed sum.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Entry {
     pub written: String,
@@ -105,7 +104,7 @@ pub(super) enum PositionColumns {
     },
 }
 
-/// From where the second angle counts.
+/// Reference of the second angle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum PolarAngle {
     /// From the x-y plane.
@@ -120,7 +119,7 @@ pub(super) enum Uncertainty {
     Sigmas {
         columns: [Entry; 3],
         units: SigmaUnits,
-        /// What the columns state is so many standard deviations.
+        /// The columns state this many standard deviations.
         coverage: f64,
     },
     /// Upper triangle by rows, SI.
@@ -147,7 +146,7 @@ pub(super) struct RotationSigma {
     /// One about each axis, or one about every axis.
     pub columns: Vec<Entry>,
     pub unit: Option<AngleUnit>,
-    /// What the columns state is so many standard deviations.
+    /// The columns state this many standard deviations.
     pub coverage: f64,
 }
 
@@ -155,19 +154,19 @@ pub(super) struct RotationSigma {
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct FaceColumn {
     pub column: Entry,
-    /// What stands in it of the front and of the back face.
+    /// Its texts for the front and for the back face.
     pub words: [Vec<String>; 2],
     pub angles: BackAngles,
 }
 
 /// The columns with what the flange carries.
 #[derive(Debug, Clone, PartialEq)]
-// One a map.
+// One per map.
 #[allow(clippy::large_enum_variant)]
 pub(super) enum PayloadColumns {
     /// The name of one of these.
     Named { column: Entry, known: Vec<Payload> },
-    /// Its mass, kg, and its centre; a name and a force, N, where there are such columns.
+    /// Its mass, kg, and its centre; a name and a force, N, if there are such columns.
     Numbers {
         name: Option<Entry>,
         mass: Entry,
@@ -188,7 +187,7 @@ impl PayloadColumns {
     }
 }
 
-/// What the angles of a back-face reading are.
+/// The angles of a back-face reading.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum BackAngles {
     /// As the encoders show them: azimuth + 180° and 360° - zenith.
@@ -201,7 +200,7 @@ pub(super) enum BackAngles {
     Found,
 }
 
-/// Units of standard deviations, where the map states them.
+/// Units of standard deviations, if the map states them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum SigmaUnits {
     Cartesian(Option<LengthUnit>),
@@ -233,7 +232,7 @@ impl Noise {
         Matrix3::identity() * across + direction * direction.transpose() * (along - across)
     }
 
-    /// Covariance of range, azimuth and elevation; `None` at the zenith, where there is no azimuth, and where the readings are not from the
+    /// Covariance of range, azimuth and elevation; `None` at the zenith, where there is no azimuth, and if the readings are not from the
     /// instrument's place.
     pub fn of_reading(&self, reading: &SphericalReading) -> Option<Matrix3<f64>> {
         let [along, across] = self.sigmas(reading.range);
@@ -246,14 +245,14 @@ impl Noise {
     }
 }
 
-/// What is made of rows beside reading them.
+/// Further processing of rows.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct RowChoices {
-    /// What marks a missed shot in a cell of the position, beside a position of (0, 0, 0).
+    /// Marks of a missed shot in a cell of the position, in addition to a position of (0, 0, 0).
     pub missed: Vec<MissedCode>,
     pub approach_from_order: bool,
     pub average_repeats: bool,
-    /// Whether a front-face reading and a back-face one are put together.
+    /// Whether a front-face and a back-face reading are averaged.
     pub average_faces: bool,
 }
 
@@ -302,7 +301,7 @@ impl PoseList {
     pub fn add(&mut self, text: &str) -> Result<(), &'static str> {
         let text = text.trim();
         if text.is_empty() {
-            return Err("a number of a pose, a run such as 41..60, or a name");
+            return Err("the number of a pose, a range such as 41..60, or a name");
         }
         if let Ok(number) = text.parse() {
             self.runs.push([number, number]);
@@ -311,7 +310,7 @@ impl PoseList {
         let run = text.split_once("..").or(text.split_once('-'));
         match run.map(|(first, last)| (first.trim().parse(), last.trim().parse())) {
             Some((Ok(first), Ok(last))) if first <= last => self.runs.push([first, last]),
-            Some((Ok(_), Ok(_))) => return Err("a run from the smaller number to the larger one"),
+            Some((Ok(_), Ok(_))) => return Err("a range from the smaller number to the larger one"),
             _ => self.names.push(text.to_owned()),
         }
         Ok(())
@@ -340,7 +339,7 @@ impl PoseList {
         }
     }
 
-    /// What it lists and these poses are not: runs of numbers, and names. Where poses have `names`, those count, and not their numbers.
+    /// Listed entries that these poses lack: ranges of numbers, and names. If poses have `names`, those count, not their numbers.
     pub(super) fn absent(&self, numbers: impl Iterator<Item = u32>, names: &[String]) -> Vec<String> {
         let there: BTreeSet<u32> = if names.is_empty() {
             numbers.collect()
@@ -365,7 +364,7 @@ impl PoseList {
         absent
     }
 
-    /// Adds what another one lists.
+    /// Adds the entries of another list.
     pub(super) fn extend(&mut self, other: &Self) {
         self.runs
             .extend(other.runs.iter().filter(|run| !self.runs.contains(run)).copied().collect::<Vec<_>>());
@@ -384,7 +383,7 @@ impl PoseList {
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Join {
     pub by: JoinBy,
-    /// The column in the joints' file, and in the points' files; none of rows.
+    /// The column in the joints' file, and in the points' files; none if joined by rows.
     pub keys: Option<[Entry; 2]>,
 }
 
@@ -392,7 +391,7 @@ pub(super) struct Join {
 pub(super) enum JoinBy {
     Row,
     Name,
-    /// Within so many seconds; the joints' clock is ahead of the points' by `offset` seconds.
+    /// Within this many seconds; the joints' clock is ahead of the points' by `offset` seconds.
     Time {
         within: f64,
         offset: f64,
@@ -406,7 +405,7 @@ impl Entry {
         Self { written: name.to_owned(), terms: vec![Term { column, sign: 1.0 }] }
     }
 
-    /// What a header may have of it.
+    /// Which of it a header has.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         let terms = self.terms.iter().filter_map(|term| match &term.column {
             ColumnRef::Name(name) => Some(name.as_str()),
@@ -512,22 +511,22 @@ pub(super) enum Part {
     Points,
 }
 
-/// What is said on a command line beside, or instead of, the map.
+/// What a command line states in addition to, or instead of, the map.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct RowOptions {
-    /// Marks of missed shots beside those of the map.
+    /// Marks of missed shots in addition to those of the map.
     pub missed: Vec<MissedCode>,
     /// Poses that are held out.
     pub verification_poses: PoseList,
     /// Whether the signs of approach follow from the order of the rows.
     pub approach_from_order: bool,
-    /// Whether repeats of a pose count as one reading with their mean.
+    /// Whether repeats of a pose are averaged into one reading.
     pub average_repeats: bool,
-    /// Whether a reading of the front face and one of the back face count as one.
+    /// Whether a front-face and a back-face reading are averaged into one.
     pub average_faces: bool,
-    /// The sheet of a spreadsheet that is read; the first where none is named.
+    /// The sheet of a spreadsheet that is read; the first if none is named.
     pub sheet: Option<String>,
-    /// What of a bag is read.
+    /// What is read of a bag.
     pub bag: BagOptions,
 }
 
@@ -546,21 +545,21 @@ impl ColumnMap {
         let Some(mapping) = &self.mapping else { return Ok(()) };
         let (found, expected) = (mapping.joints.len(), joints.len());
         if found != expected {
-            let message = format!("joints.columns names {found} columns, the robot has {expected} joints");
-            let help = "expected one column a joint".to_owned();
+            let message = format!("joints.columns names {found} columns, but the robot has {expected} joints");
+            let help = "expected one column per joint".to_owned();
             return Err(source.error(source.place_of("joints.columns"), message, Some(help)));
         }
         Ok(())
     }
 
-    /// The same map, but a file that has calibrig's own columns for the commands, and none of the map's, is read as calibrig's own: a
-    /// robot's map is of one tracker's files.
+    /// The same map, except that a file that has calibrig's own columns for the commands, and none of the map's, is read as
+    /// calibrig's own: a robot's map is that of one tracker's files.
     #[must_use]
     pub fn or_own(self) -> Self {
         Self { or_own: true, ..self }
     }
 
-    /// The same map, but the columns of target and station are read where a file has them: bags have them where there are several.
+    /// The same map, with the columns of target and station optional: bags have them only if there are several.
     #[must_use]
     pub fn with_names_where_there(self) -> Self {
         Self { names_where_there: true, ..self }
@@ -576,12 +575,12 @@ impl ColumnMap {
         self.source.as_deref()
     }
 
-    /// What it says of a text's form, and of a table's.
+    /// The form of a text or a table.
     pub(super) fn format(&self) -> (TextFormat, TableFormat) {
         self.mapping.as_ref().map_or_else(Default::default, |mapping| (mapping.text.clone(), mapping.table))
     }
 
-    /// What it says of rows.
+    /// Options for rows.
     pub(super) fn row_choices(&self) -> Option<&RowChoices> {
         self.mapping.as_ref().map(|mapping| &mapping.rows)
     }
@@ -618,7 +617,7 @@ impl ColumnMap {
         wanted
     }
 
-    /// The columns of a file with this header, or why they cannot be told.
+    /// The columns of a file with this header, or why they cannot be found.
     pub(super) fn resolve(&self, header: &[&str], joints: &[JointKind]) -> Result<Mapping, String> {
         let has = |name: &str| header.contains(&name);
         let own = |mapping: &Mapping| {
@@ -646,7 +645,7 @@ fn own_mapping(header: &[&str], joints: &[JointKind]) -> Result<Mapping, String>
     let has = |name: &str| header.contains(&name);
     let surplus = [JointKind::Revolute, JointKind::Prismatic].map(|kind| own::joint(joints.len(), kind));
     if let Some(name) = surplus.iter().find(|name| has(name)) {
-        return Err(format!("there is a column {name}, the robot has {} joints", joints.len()));
+        return Err(format!("there is a column {name}, but the robot has {} joints", joints.len()));
     }
     let cartesian = own::CARTESIAN.iter().any(|name| has(name));
     if cartesian && own::SPHERICAL.iter().any(|name| has(name)) {
@@ -672,7 +671,7 @@ fn own_mapping(header: &[&str], joints: &[JointKind]) -> Result<Mapping, String>
     let directed = approach.iter().any(|name| has(name));
     let ways: Vec<_> =
         joints.iter().enumerate().map(|(index, kind)| own::since_reversal(index, *kind)).collect();
-    // One column of them calls for all.
+    // One of these columns requires all of them.
     let moved = ways.iter().any(|name| has(name));
     Ok(Mapping {
         joints: joints
@@ -714,7 +713,7 @@ fn own_mapping(header: &[&str], joints: &[JointKind]) -> Result<Mapping, String>
     })
 }
 
-/// The own columns of a payload, where the file has them; one of them calls for mass and centre.
+/// The own columns of a payload, if the file has them; one of them requires mass and centre.
 fn own_payload(header: &[&str]) -> Result<Option<PayloadColumns>, String> {
     let has = |name: &&str| header.contains(name);
     let has_force = own::PAYLOAD_FORCE.iter().any(has);
@@ -724,7 +723,7 @@ fn own_payload(header: &[&str]) -> Result<Option<PayloadColumns>, String> {
             return Ok(None);
         }
         return Err(format!(
-            "there is a column {}, and none of {} and {}, which say what it is",
+            "there is a column {}, but neither {} nor {}, one of which must say what it is",
             own::PAYLOAD,
             own::PAYLOAD_MASS,
             own::PAYLOAD_CENTRE.join(", ")
@@ -739,16 +738,16 @@ fn own_payload(header: &[&str]) -> Result<Option<PayloadColumns>, String> {
     }))
 }
 
-/// The own columns of a rotation, where the file has them.
+/// The own columns of a rotation, if the file has them.
 fn own_rotation(header: &[&str], cartesian: bool) -> Result<Option<RotationColumns>, String> {
     let has = |name: &&str| header.contains(name);
     if !own::ROTATION.iter().any(has) {
         return Ok(None);
     }
     if !cartesian {
-        return Err("there are columns of a rotation, r11 to r33, and none of x_m, y_m, z_m".to_owned());
+        return Err("there are columns of a rotation, r11 to r33, but no x_m, y_m, z_m".to_owned());
     }
-    // One column of a group calls for the whole group, so that a misspelt one is reported.
+    // One column of a group requires the whole group, so that a misspelt one is reported.
     let sigma = own::ROTATION_SIGMA.iter().any(has).then(|| RotationSigma {
         columns: own::ROTATION_SIGMA.map(Entry::named).into(),
         unit: Some(AngleUnit::Rad),
@@ -763,7 +762,7 @@ fn own_rotation(header: &[&str], cartesian: bool) -> Result<Option<RotationColum
     }))
 }
 
-/// The own columns of an uncertainty, where the file has them; one column of a group calls for the whole group here as well.
+/// The own columns of an uncertainty, if the file has them; here, too, one column of a group requires the whole group.
 fn own_uncertainty(header: &[&str], cartesian: bool, is_pose: bool) -> Result<Option<Uncertainty>, String> {
     let (sigma, covariance) = if cartesian {
         (own::CARTESIAN_SIGMA, own::CARTESIAN_COVARIANCE)
@@ -773,7 +772,7 @@ fn own_uncertainty(header: &[&str], cartesian: bool, is_pose: bool) -> Result<Op
     let covariance: Vec<&str> = if is_pose { own::POSE_COVARIANCE.into() } else { covariance.into() };
     let has = |name: &&str| header.contains(name);
     Ok(match (sigma.iter().any(has), covariance.iter().any(has)) {
-        (true, true) => return Err("there are columns of both sigma and cov".to_owned()),
+        (true, true) => return Err("there are columns of both sigma and cov: keep one kind".to_owned()),
         (true, false) => Some(Uncertainty::Sigmas {
             columns: sigma.map(Entry::named),
             units: if cartesian {

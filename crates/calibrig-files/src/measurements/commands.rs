@@ -1,4 +1,4 @@
-//! Poses of a file whether or not they are measured: of a plan.
+//! Poses of a file, measured or not: for a plan.
 
 use std::cell::Cell;
 
@@ -15,8 +15,8 @@ use crate::input::{InputError, Source};
 use calibrig_model::JointKind;
 use calibrig_model::measurement::Motion;
 
-/// Number and command (m or rad, one an actuator) of the pose of every row. A file that has columns of positions is read as
-/// [`parse_measurements`](super::parse_measurements) does; of one that has none, such as a plan, the commands alone are asked for.
+/// Number and command (m or rad, one per actuator) of the pose of every row. A file with columns of positions is read as
+/// [`parse_measurements`](super::parse_measurements) does; without them, as in a plan, only the commands are required.
 ///
 /// # Errors
 ///
@@ -69,7 +69,7 @@ pub fn parse_commands(
         commands.push(reader.commanded(&row, &mut names)?);
     }
     if commands.is_empty() {
-        return Err(file.refuse("there are no poses below the header", "a row of numbers for every pose"));
+        return Err(file.refuse("there are no poses below the header", "one row of numbers per pose"));
     }
     Ok(commands)
 }

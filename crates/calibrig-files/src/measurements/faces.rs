@@ -1,4 +1,4 @@
-//! Readings of both faces: what their angles are, and which belong together.
+//! Readings of both faces: their angles, and their pairs.
 //!
 //! In the back face a tracker's head is turned by half a turn and its telescope is turned over, so that its encoders show azimuth + 180° and
 //! 360° - zenith of the same point. Most of an instrument's errors turn over with it: half the difference of the two readings is their size,
@@ -13,10 +13,10 @@ use calibrig_model::measurement::{Face, Observation, Reading, SphericalReading};
 /// Places that are named of several.
 const MOST_PLACES: usize = 3;
 
-/// What was seen of the faces in the rows of one file.
+/// What the rows of one file show about the faces.
 #[derive(Debug, Default)]
 pub(super) struct Faces {
-    /// Whether angles of the back face are the encoders' own, and the first row that showed it.
+    /// Whether angles of the back face are the encoders' own, and the first row that shows it.
     pub back: Option<(bool, String)>,
     /// Whether that was found from the values.
     is_found: bool,
@@ -24,7 +24,7 @@ pub(super) struct Faces {
     beyond: Option<(u64, String)>,
 }
 
-/// What one row showed of it.
+/// What one row shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum FaceSeen {
     Nothing,
@@ -54,27 +54,28 @@ impl Faces {
         if let Some((is_raw, place)) = self.back.as_ref().filter(|_| self.is_found) {
             remarks.push(if *is_raw {
                 format!(
-                    "{file}: angles of the back face are the encoders' own, as {place} shows (a zenith beyond 180°): they are turned to the \
-                     direction of the point"
+                    "{file}: back-face angles are the encoders' own, as {place} shows (a zenith beyond 180°): they are \
+                     converted to the direction of the point"
                 )
             } else {
-                format!("{file}: angles of the back face are those of the point, as {place} shows (a zenith up to 180°)")
+                format!("{file}: back-face angles are those of the point, as {place} shows (a zenith up to 180°)")
             });
         }
         if let Some((count, place)) = &self.beyond {
             remarks.push(format!(
-                "{place}: an elevation beyond 90° (a zenith beyond 180°), as of a tracker's back face, in {count} rows: the points are right, but \
-                 count as read in the front face; [face] of a column map names the faces"
+                "{place}: an elevation beyond 90° (a zenith beyond 180°), as a tracker shows in its back face, in {count} \
+                 rows: the points are right, but are treated as front-face readings; name the faces with [face] of a column \
+                 map"
             ));
         }
         remarks
     }
 }
 
-/// Tells of back-face readings without a front face; puts the mean in the place of each pair where that is asked for.
+/// Reports back-face readings without a front face; replaces each pair by its mean if asked for.
 ///
 /// # Errors
-/// A back-face reading without a front face, of which the mean is asked for; rows of one pose whose commands are not the same.
+/// Errors if the mean is asked for: a back-face reading without a front face; rows of one pose whose commands differ.
 pub(super) fn pair(
     loaded: &mut LoadedMeasurements,
     numbers_poses: bool,
@@ -85,7 +86,8 @@ pub(super) fn pair(
         if is_averaged {
             loaded
                 .remarks
-                .push("no reading is of the back face: there are no two faces to average".to_owned());
+                .push("no reading is of the back face, so there are no two faces to average: use repeats = \"keep\" or \
+                       measure both faces".to_owned());
         }
         return Ok(());
     }
@@ -106,9 +108,10 @@ pub(super) fn pair(
         if is_averaged {
             return Err(InputError::Place {
                 place: place(&first),
-                message: format!("pose {pose} was read in the back face, and not in the front face"),
+                message: format!("pose {pose} was read in the back face, but not in the front face"),
                 help: Some(
-                    "expected a front-face reading of the same pose, station and target for each of the back face; or faces = \"keep\"".to_owned(),
+                    "expected, for each back-face reading, a front-face reading of the same pose, station and target; or \
+                     faces = \"keep\"".to_owned(),
                 ),
             });
         }
@@ -118,7 +121,8 @@ pub(super) fn pair(
             more => format!(" and {more} more"),
         };
         loaded.remarks.push(format!(
-            "{}{more}: read in the back face, and not in the front face: what both faces would average out of the instrument's errors stays in",
+            "{}{more}: read in the back face, but not in the front face: the instrument errors that both faces would average \
+             out stay in",
             places.join(", ")
         ));
     }
@@ -144,16 +148,17 @@ fn average(loaded: &mut LoadedMeasurements, pairs: &[[usize; 2]]) -> Result<(), 
     let apart = 1e3 * (squares / pairs.len().max(1) as f64).sqrt();
     let alone = match fronts - pairs.len() {
         0 => String::new(),
-        alone => format!("; {alone} readings are of the front face alone"),
+        alone => format!("; {alone} readings are of the front face only"),
     };
     loaded.remarks.push(format!(
-        "{} pairs of both faces are averaged: their readings differ by {apart:.4} mm (RMS in 3-D), twice what one face is off{alone}",
+        "{} pairs of both faces are averaged: their readings differ by {apart:.4} mm (RMS in 3-D), twice the error of one \
+         face{alone}",
         pairs.len()
     ));
     Ok(())
 }
 
-/// The mean of a reading of each face, angle by angle: errors that turn over with the face are not in it.
+/// The mean of a reading of each face, angle by angle: errors that turn over with the face cancel in it.
 fn mean(front: &Observation, back: &Observation) -> Observation {
     let mut mean = front.clone();
     mean.time = f64::midpoint(front.time, back.time);

@@ -22,16 +22,16 @@ use calibrig_model::measurement::{Motion, Observation};
 /// Files of one set.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct MeasurementFiles {
-    /// Files with positions: one, or one a target.
+    /// Files with positions: one, or one per target.
     pub points: Vec<PointsFile>,
-    /// The file of the commands, where it is one of its own; its rows are joined as the column map says, else row by row.
+    /// The file of the commands, if separate; its rows are joined as the column map states, else row by row.
     pub joints: Option<PathBuf>,
 }
 
 /// A file with positions.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PointsFile {
-    /// The target that it is of, where the whole file is of one.
+    /// Its target, if the whole file is of one.
     pub target: Option<String>,
     /// Where it is.
     pub path: PathBuf,
@@ -48,11 +48,11 @@ impl MeasurementFiles {
 ///
 /// - The delimiter (`,`, `;`, tab, `|` or blanks) is the one under which most columns of `map` are found; lines that begin with `#` or
 ///   `//`, blank lines, and lines in front of the header are skipped.
-/// - A row whose position is (0, 0, 0), or empty, is a missed shot: it is left out and reported in [`LoadedMeasurements::dropped`].
+/// A row whose position is (0, 0, 0), or empty, is a missed shot: it is left out and reported in [`LoadedMeasurements::dropped`].
 /// - Without a pose column the rows count from 1; without a time column the time is 0; without station or target columns there is
 ///   one of each. Stations and targets are numbered in the order of their first appearance.
 ///
-/// The file is read line by line: beside the set, memory does not grow with it.
+/// The file is read line by line: apart from the set, memory does not grow with it.
 pub fn read_measurements(
     path: &Path,
     map: &ColumnMap,
@@ -83,10 +83,10 @@ pub fn read_rows(
     reading.finish()
 }
 
-/// Reads the files of one set: those with points one after the other, each joined with the file of the commands where there is one.
+/// Reads the files of one set: those with points one after the other, each joined with the file of the commands if there is one.
 ///
 /// # Errors
-/// As [`read_measurements`]; and rows of two files that do not belong together.
+/// As [`read_measurements`]; also rows of two files that do not match.
 pub fn read_files(
     files: &MeasurementFiles,
     map: &ColumnMap,
@@ -115,13 +115,13 @@ pub fn read_files(
 fn refuse_twice(files: &MeasurementFiles) -> Result<(), InputError> {
     let mut seen: Vec<PathBuf> = Vec::new();
     for PointsFile { path, .. } in &files.points {
-        // A file that is not there is told when it is opened.
+        // A missing file is reported when it is opened.
         let Ok(known) = path.canonicalize() else { continue };
         if seen.contains(&known) {
             return Err(InputError::Place {
                 place: path.display().to_string(),
                 message: "this file is named twice: its rows would count twice".to_owned(),
-                help: Some("expected every file of measurements once".to_owned()),
+                help: Some("expected every file of measurements only once".to_owned()),
             });
         }
         seen.push(known);
@@ -129,12 +129,12 @@ fn refuse_twice(files: &MeasurementFiles) -> Result<(), InputError> {
     Ok(())
 }
 
-/// What is told of rows that are of one stop, where no column says so.
+/// Remark on rows of one stop, if no column states it.
 fn stops(observations: &[Observation], file: &str) -> Option<String> {
     let poses = observations.chunk_by(|a, b| a.pose == b.pose).count();
     (poses < observations.len()).then(|| {
         format!(
-            "{file}: rows behind each other with the same command are one pose: {poses} poses of {} rows",
+            "{file}: consecutive rows with the same command are one pose: {poses} poses from {} rows",
             observations.len()
         )
     })
@@ -149,7 +149,7 @@ struct Reading<'a> {
     loaded: LoadedMeasurements,
     /// The first file with positions.
     first: Option<String>,
-    /// Poses that are said to be held out.
+    /// Poses that are listed as held out.
     held_out: PoseList,
     /// Number of the last pose of the files before.
     last_pose: u32,
@@ -209,10 +209,10 @@ impl<'a> Reading<'a> {
         }
         if let (Some(target), Some(column)) = (target, columns.target) {
             let message = format!(
-                "column {} names the target, and the whole file is said to be of {target}",
+                "column {} names the target, but the whole file is said to be of {target}",
                 names[column].header
             );
-            return Err(of_points.refuse(message, "one of them"));
+            return Err(of_points.refuse(message, "only one of them"));
         }
         self.held_out.extend(&columns.sets.poses);
         self.loaded.names_stations |= columns.station.is_some();
@@ -261,7 +261,7 @@ impl<'a> Reading<'a> {
             reader.observe(&row, &mut self.names, &mut self.loaded)?;
         }
         if reader.rows == 0 {
-            let expected = "a row of numbers for every measurement";
+            let expected = "one row of numbers per measurement";
             return Err(of_points.refuse("there are no measurements below the header", expected));
         }
         remarks.extend(reader.time.iter().flat_map(|time| time.remarks(&file)));
@@ -287,7 +287,7 @@ impl<'a> Reading<'a> {
         Ok(())
     }
 
-    /// Poses of a further file that have the numbers of other poses count on behind those.
+    /// Poses of a further file that repeat numbers of other poses are numbered after those.
     fn number_on(&mut self, before: usize, numbers_poses: bool, file: &str, remarks: &mut Vec<String>) {
         let (known, new) = self.loaded.set.observations.split_at_mut(before);
         let commands: HashMap<u32, &[f64]> = if new.is_empty() {
@@ -307,14 +307,14 @@ impl<'a> Reading<'a> {
             }
             let whose = if numbers_poses { "its poses" } else { "its rows" };
             remarks.push(format!(
-                "{file}: {whose} have other commands than those of the same number before: they are numbered from {} on",
+                "{file}: {whose} repeat numbers of earlier poses with other commands: they are numbered from {} on",
                 by.saturating_add(1)
             ));
         }
         self.last_pose = self.loaded.set.observations.iter().map(|o| o.pose).max().unwrap_or(0);
     }
 
-    /// Why no row of the files can be used.
+    /// Why none of the files' rows can be used.
     fn nothing_left(&self) -> Option<InputError> {
         let dropped = &self.loaded.dropped;
         let by = self.map.join()?.by;
@@ -326,9 +326,10 @@ impl<'a> Reading<'a> {
         let others = if rest > 0 { format!("; and {rest} more rows") } else { String::new() };
         let help = match by {
             JoinBy::Time { .. } => {
-                "expected times of one clock: offset_s in [join] of the column map shifts those of the joints, within_s widens what is taken"
+                "expected times of one clock: in [join] of the column map, offset_s shifts the times of the joints and \
+                 within_s widens the tolerance"
             }
-            JoinBy::Name => "expected the same names in both files, in the same letters",
+            JoinBy::Name => "expected the same names in both files, spelled alike",
             JoinBy::Row => "expected rows with a position",
         };
         Some(InputError::Place {
@@ -355,7 +356,7 @@ impl<'a> Reading<'a> {
         if !absent.is_empty() {
             self.loaded
                 .remarks
-                .push(format!("held out are also poses that no row is of: {}", absent.join(", ")));
+                .push(format!("poses listed as held out that no row has: {}", absent.join(", ")));
         }
         self.loaded.pose_names = poses;
         faces::pair(&mut self.loaded, self.numbers_poses, self.options.average_faces)?;

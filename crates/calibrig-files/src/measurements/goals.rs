@@ -28,7 +28,7 @@ const LARGEST: f64 = 1e9;
 /// Reads a table of points: text, or a sheet of a spreadsheet.
 ///
 /// # Errors
-/// [`InputError`] with line and column: a file that cannot be read or holds no points, columns that are not known or lack their unit, cells that are no
+/// [`InputError`] with line and column: a file that cannot be read or holds no points, unknown columns or columns without a unit, cells that are not
 /// finite numbers, directions of length zero, and matrices that are not rotations.
 pub fn read_goals(path: &Path) -> Result<GoalTable, InputError> {
     let rows = open(path, &TextFormat::default(), &wanted(), &RowOptions::default())?;
@@ -81,7 +81,7 @@ fn field(columns: &FileColumns<'_>, column: &Column) -> Result<Field, InputError
         return match unit {
             Some(unit @ HeaderUnit::Length(_)) => Ok(Field::Position(axis, unit)),
             Some(unit) => refused(
-                format!("column {header} is in {}, which is no length", unit.key()),
+                format!("column {header} is in {}, which is not a unit of length", unit.key()),
                 &format!("{name}_mm or {name}_m"),
             ),
             None => refused(
@@ -134,7 +134,7 @@ impl Fields {
             match (found.next(), found.next()) {
                 (_, Some((second, _))) => {
                     let header = &columns.columns[second].header;
-                    Err(columns.refuse(format!("column {header} is there twice"), "one column a quantity"))
+                    Err(columns.refuse(format!("column {header} appears twice"), "one column per quantity"))
                 }
                 (found, None) => Ok(found.map(|(index, field)| (index, *field))),
             }
@@ -146,7 +146,7 @@ impl Fields {
                 _ => {
                     let message = format!("there is no column {name}; there are {}", columns.names());
                     return Err(
-                        columns.refuse(message, &format!("{name}_mm or {name}_m, and of columns: {KNOWN}"))
+                        columns.refuse(message, &format!("{name}_mm or {name}_m; the columns known are {KNOWN}"))
                     );
                 }
             }
@@ -160,7 +160,7 @@ impl Fields {
             if !found.is_empty() {
                 forms.push(names.join(", "));
                 if found.len() < names.len() {
-                    let message = format!("of the columns {} {} are there", names.join(", "), found.len());
+                    let message = format!("only the columns {} {} are there", names.join(", "), found.len());
                     return Err(columns.refuse(message, &format!("all {} of them, or none", names.len())));
                 }
             }
@@ -170,8 +170,8 @@ impl Fields {
         let matrix = all(&MATRIX, &Field::Matrix)?;
         let quaternion = all(&QUATERNION, &Field::Quaternion)?;
         if forms.len() > 1 {
-            let message = format!("the tool is held in two ways: {}", forms.join("; and "));
-            return Err(columns.refuse(message, "one of them"));
+            let message = format!("the tool's orientation is given in two ways: {}", forms.join("; and "));
+            return Err(columns.refuse(message, "only one of them"));
         }
         let held = match (axis.as_slice(), matrix.as_slice(), quaternion.as_slice()) {
             (&[x, y, z], ..) => Held::Axis([x, y, z]),
@@ -245,7 +245,7 @@ impl Cells<'_> {
             }
             Held::Matrix(columns) => {
                 let numbers = self.numbers(*columns)?;
-                // As it is, bit for bit, where it is a rotation.
+                // Unchanged, bit for bit, if it is a rotation.
                 if let Ok(rotation) = rotation_of_matrix(&Matrix3::from_row_slice(&numbers)) {
                     return Ok(StatedHold::Rotation(rotation));
                 }
@@ -301,11 +301,11 @@ fn read(rows: Box<dyn Rows>) -> Result<GoalTable, InputError> {
             has_header: table.has_header,
             columns: &table.columns,
         };
-        return Err(columns.refuse("the file has no points", "a row a point below the names of the columns"));
+        return Err(columns.refuse("the file has no points", "one row per point below the names of the columns"));
     }
     let mut remarks = table.remarks();
     remarks.extend(cut.map(|place| {
-        format!("{place}: the last line has no end: it is taken as it stands, but the file may have been cut short there")
+        format!("{place}: the last line has no line end: it is read as it stands, but the file may have been cut short there")
     }));
     Ok(GoalTable { file: table.name().to_owned(), goals, remarks })
 }
@@ -338,7 +338,7 @@ mod tests {
         }
         let cut = parsed("x_m,y_m,z_m\n1,2,3").expect("taken");
         assert!(
-            cut.remarks.iter().any(|remark| remark.contains("goals.csv:2: the last line has no end")),
+            cut.remarks.iter().any(|remark| remark.contains("goals.csv:2: the last line has no line end")),
             "{cut:?}"
         );
     }
@@ -347,19 +347,19 @@ mod tests {
     fn what_cannot_be_is_refused_with_its_line() {
         for (text, message, help) in [
             ("", "the file is empty", "names of the columns"),
-            ("x_mm,y_mm,z_mm\n", "goals.csv:1: the file has no points", "a row a point"),
+            ("x_mm,y_mm,z_mm\n", "goals.csv:1: the file has no points", "one row per point"),
             ("1,2,3\n4,5,6\n", "goals.csv:1: the header is missing", "names of the columns"),
             ("x_mm,y_mm\n1,2\n", "goals.csv:1: there is no column z", "z_mm or z_m"),
             ("x,y_mm,z_mm\n1,2,3\n", "goals.csv:1: column x has no unit", "x_mm or x_m"),
-            ("x_deg,y_mm,z_mm\n1,2,3\n", "column x_deg is in deg, which is no length", "x_mm"),
-            ("x_mm,x_m,y_mm,z_mm\n1,1,2,3\n", "column x_m is there twice", "one column"),
+            ("x_deg,y_mm,z_mm\n1,2,3\n", "column x_deg is in deg, which is not a unit of length", "x_mm"),
+            ("x_mm,x_m,y_mm,z_mm\n1,1,2,3\n", "column x_m appears twice", "one column"),
             ("x_mm,y_mm,z_mm,speed\n1,2,3,4\n", "column speed is not known", "axis_x"),
             ("x_mm,y_mm,z_mm,time\n1,2,3,4\n", "column time has no unit of time", "time_s"),
             ("x_mm,y_mm,z_mm,axis_x,axis_y\n1,2,3,0,0\n", "2 are there", "all 3"),
             (
                 "x_mm,y_mm,z_mm,axis_x,axis_y,axis_z,qw,qx,qy,qz\n1,2,3,0,0,1,1,0,0,0\n",
-                "held in two ways",
-                "one of them",
+                "given in two ways",
+                "only one of them",
             ),
             ("x_mm,y_mm,z_mm\n1,2,3\n1,nan,3\n", "goals.csv:3: column y_mm is nan", "finite"),
             ("x_mm,y_mm,z_mm\n1,inf,3\n", "goals.csv:2: column y_mm is inf", "finite"),

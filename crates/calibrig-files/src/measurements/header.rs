@@ -32,7 +32,7 @@ impl FileColumns<'_> {
         InputError::Place { place: self.name.to_owned(), message: message.to_string(), help }
     }
 
-    /// Names of the columns, as far as a message can hold them.
+    /// Names of the columns, as many as a message can hold.
     pub fn names(&self) -> String {
         const MOST: usize = 40;
         let names = self.columns.iter().take(MOST).map(|column| match column.header.char_indices().nth(60) {
@@ -53,7 +53,7 @@ impl FileColumns<'_> {
                 return match number.checked_sub(1).filter(|index| *index < self.columns.len()) {
                     Some(index) => Ok(Some(index)),
                     None => Err(self.refuse(
-                        format!("column {number} is missing: the rows have {}", self.columns.len()),
+                        format!("column {number} is missing: the rows have {} columns", self.columns.len()),
                         &format!("a column from 1 to {}", self.columns.len()),
                     )),
                 };
@@ -70,8 +70,8 @@ impl FileColumns<'_> {
         };
         match found {
             (Some(_), Some(_)) => {
-                let expected = "distinct names of columns, or in a column map the number of the column: 7, and in a sum #7";
-                Err(self.refuse(format!("column {wanted} is there twice"), expected))
+                let expected = "distinct names of columns; or, in a column map, the number of the column: 7 (in a sum: #7)";
+                Err(self.refuse(format!("column {wanted} appears twice"), expected))
             }
             (found, _) => Ok(found),
         }
@@ -86,7 +86,7 @@ pub(super) struct Columns {
     pub uncertainty: Option<UncertaintyColumns>,
     pub noise: Option<Noise>,
     pub pose: Option<usize>,
-    /// Whether the pose may have a name in place of a number.
+    /// Whether the pose may be a name instead of a number.
     pub names_poses: bool,
     pub station: Option<usize>,
     pub target: Option<usize>,
@@ -186,7 +186,7 @@ pub(super) struct RotationQuantities {
     pub sigma: Option<(Vec<Quantity>, f64)>,
 }
 
-/// What kind of quantity a column holds, and the unit that the map says, with the key that it would stand at.
+/// What kind of quantity a column holds, and the unit that the map states, with its key.
 #[derive(Clone, Copy)]
 enum Kind {
     Plain,
@@ -201,9 +201,9 @@ pub(super) struct Head<'a> {
     pub joints: Option<FileColumns<'a>>,
     /// The map, for messages.
     pub map: Option<&'a Source>,
-    /// What is taken from the header, in words.
+    /// Units taken from the header, in words.
     pub remarks: Vec<String>,
-    /// Units that come from the header: the unit and its columns.
+    /// Units from the header: the unit and its columns.
     from_header: Vec<(&'static str, Vec<String>)>,
 }
 
@@ -320,7 +320,7 @@ impl<'a> Head<'a> {
     fn quantity(&mut self, entry: &Entry, kind: Kind, is_joint: bool) -> Result<Quantity, InputError> {
         let whole = ColumnRef::Name(entry.written.clone());
         let is_sum = entry.terms.iter().all(|term| term.column != whole);
-        // A header that has the whole text means it so.
+        // If a header has the whole text, it means that column.
         let as_one = if is_sum { self.find(&whole, is_joint).ok() } else { None };
         let terms: Vec<(usize, f64, bool)> = match as_one {
             Some(column) => vec![(column, 1.0, false)],
@@ -350,7 +350,7 @@ impl<'a> Head<'a> {
         }
     }
 
-    /// The unit of a column: what the map says, and what the header says, which do not contradict each other.
+    /// The unit of a column: from the map and the header, which must agree.
     fn scale(&mut self, index: usize, kind: Kind, by_number: bool) -> Result<Scale, InputError> {
         let (file, column) = self.file_of(index);
         let name = &column.header;
@@ -366,9 +366,9 @@ impl<'a> Head<'a> {
             (Some(HeaderUnit::Angle(unit)), Kind::Angle(..)) => Some(Scale::Angle(unit)),
             (Some(unit), _) if stated.is_none() || !by_number => {
                 let message =
-                    format!("column {name} is in {}, which is no unit of this quantity", unit.key());
+                    format!("column {name} is in {}, which is not a unit of this quantity", unit.key());
                 let expected = format!(
-                    "a column in {expected}; where the header is wrong, its number and {key} in the column map"
+                    "a column in {expected}; if the header is wrong, give the column's number and {key} in the column map"
                 );
                 return Err(file.refuse(message, &expected));
             }
@@ -377,7 +377,7 @@ impl<'a> Head<'a> {
         match (stated, in_header) {
             (Some(stated), Some(in_header)) if stated != in_header => {
                 let message = format!(
-                    "column {name} is in {} by the header, and in {} by the column map ({key})",
+                    "column {name} is in {} according to the header, but in {} according to the column map ({key})",
                     in_header.key(),
                     stated.key()
                 );
@@ -385,7 +385,8 @@ impl<'a> Head<'a> {
                     self.remarks.push(format!("{}: {message}: the column map holds", file.name));
                     return Ok(stated);
                 }
-                let expected = "the same unit in both; where the header is wrong, the column by its number in the column map: x = 7";
+                let expected = "the same unit in both; if the header is wrong, name the column by its number in the column \
+                                map: x = 7";
                 Err(file.refuse(message, expected))
             }
             (Some(stated), _) => Ok(stated),
@@ -401,7 +402,8 @@ impl<'a> Head<'a> {
             (None, None) => {
                 let (table, unit) = key.split_once('.').unwrap_or_default();
                 let message = format!(
-                    "missing key `{unit}` in [{table}]: column {name} has no unit, since the header of {} states none behind the name",
+                    "missing key `{unit}` in [{table}]: column {name} has no unit, since the header of {} does not give one \
+                     after the name",
                     file.name
                 );
                 let help = format!("{unit} = {expected} in [{table}]");
@@ -418,8 +420,8 @@ impl<'a> Head<'a> {
         let (found, expected) = (mapping.joints.len(), joints.len());
         if found != expected {
             let message =
-                format!("the column map names {found} joint columns, the robot has {expected} joints");
-            return Err(self.points.refuse(message, "one column a joint"));
+                format!("the column map names {found} joint columns, but the robot has {expected} joints");
+            return Err(self.points.refuse(message, "one column per joint"));
         }
         let kind = |kind: &JointKind| match kind {
             JointKind::Revolute => Kind::Angle(mapping.revolute, "joints.revolute_unit"),
@@ -433,16 +435,17 @@ impl<'a> Head<'a> {
             .collect()
     }
 
-    /// Refuses calibrig's own columns of which none is measured, as of a plan that nobody has measured yet.
+    /// Refuses calibrig's own columns without any measured one, such as a plan that has not been measured yet.
     fn refuse_unmeasured(&self, columns: &PositionColumns) -> Result<(), InputError> {
         let PositionColumns::Spherical { range, azimuth, polar, .. } = columns else { return Ok(()) };
         let is_there = |entry: &Entry| self.find(&ColumnRef::Name(entry.written.clone()), false).is_ok();
         if self.map.is_some() || self.joints.is_some() || [range, azimuth, polar].into_iter().any(is_there) {
             return Ok(());
         }
-        let message = format!("column {} is missing, and so is every other that is measured", range.written);
+        let message = format!("column {} is missing, and so are all the other measured columns", range.written);
         let expected = format!(
-            "columns x_m, y_m, z_m, or range_m, az_rad, el_rad beside the commands (a plan has none before it is measured); found {}",
+            "columns x_m, y_m, z_m, or range_m, az_rad, el_rad next to the commands (a plan has none before it is measured); \
+             found {}",
             self.points.names()
         );
         Err(self.points.refuse(message, &expected))
@@ -517,7 +520,7 @@ impl<'a> Head<'a> {
                 return match <[Quantity; 6]>::try_from(found) {
                     Ok(found) => Ok(UncertaintyColumns::Covariance(found)),
                     Err(_) => {
-                        Err(self.points.refuse("a covariance of other than six columns", "six columns"))
+                        Err(self.points.refuse("a covariance without exactly six columns", "six columns"))
                     }
                 };
             }

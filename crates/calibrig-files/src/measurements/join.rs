@@ -20,7 +20,7 @@ pub(super) struct Joints {
 }
 
 enum By {
-    /// Rows of both files in step.
+    /// Corresponding rows of both files.
     Row,
     Name {
         rows: Vec<Row>,
@@ -47,7 +47,7 @@ pub(super) enum Key {
 }
 
 impl Key {
-    /// What is to be said of the times of the points.
+    /// Remarks on the times of the points.
     pub fn remarks(&self, file: &str) -> Vec<String> {
         match self {
             Self::Time(times) => times.remarks(file),
@@ -57,7 +57,7 @@ impl Key {
 }
 
 impl Joints {
-    /// Finds the columns of the file, and reads it where its rows are not in step with those of the points.
+    /// Finds the columns of the file, and reads it unless its rows correspond to those of the points.
     pub fn open(rows: Box<dyn Rows>, map: &ColumnMap, joints: &[JointKind]) -> Result<Self, InputError> {
         let wanted = map.wanted(joints, Part::Joints);
         let table = Table::find(rows, &wanted, map.format().1)?;
@@ -107,13 +107,14 @@ impl Joints {
         remarks
     }
 
-    /// What is to be said where the times of one file have a zone and those of the other none.
+    /// Remark if the times of one file have a zone and those of the other have none.
     pub fn zones_differ(&self, points: &str, key: &Key) -> Option<String> {
         let (By::Time { times, .. }, Key::Time(key)) = (&self.by, key) else { return None };
         let (own, theirs) = (times.kind()?, key.kind()?);
         (own != theirs).then(|| {
             format!(
-                "times of {points} are {}, those of {} {}: without a zone they count as UTC (offset_s in [join] shifts the joints')",
+                "times of {points} are {}, those of {} {}: without a time zone they are taken as UTC (offset_s in [join] \
+                 shifts the joints' times)",
                 theirs.words(),
                 self.name,
                 own.words()
@@ -153,8 +154,9 @@ impl Joints {
                 return Err(row.refuse(&self.name, Some(own), "the name is empty", "a name in every row"));
             }
             if let Some(first) = by_name.insert(name.clone(), rows.len()) {
-                let message = format!("the name {name} is there twice, first in {}", rows[first].place());
-                let expected = "every name once in the file of the joints; or the files joined by row (by = \"row\" in [join])";
+                let message = format!("the name {name} appears twice, first in {}", rows[first].place());
+                let expected = "every name only once in the file of the joints; or join the files by row (by = \"row\" in \
+                                [join])";
                 return Err(row.refuse(&self.name, Some(own), message, expected));
             }
             rows.push(row.clone());
@@ -174,7 +176,7 @@ impl Joints {
         Ok(By::Time { rows, within, key, times })
     }
 
-    /// Adds to a row of points the row of commands that belongs to it; otherwise says why no row does.
+    /// Adds to a row of points the row of commands that belongs to it; otherwise says why there is none.
     pub fn join(
         &mut self,
         points: &str,
@@ -193,7 +195,7 @@ impl Joints {
                         row.join(&name, &rows[*index]);
                         Ok(())
                     }
-                    None => Err(format!("{name} has no joints of the name {wanted:?}")),
+                    None => Err(format!("{name} has no row of joints named {wanted:?}")),
                 }
             }
             (By::Time { rows, within, times, .. }, Key::Time(key)) => {
@@ -201,7 +203,7 @@ impl Joints {
                 if let (Some(own), Some(theirs)) = (times.kind(), key.kind())
                     && !theirs.is_comparable_with(own)
                 {
-                    let message = format!("the time is {}, in {name} it is {}", theirs.words(), own.words());
+                    let message = format!("the time is {}, but in {name} it is {}", theirs.words(), own.words());
                     let expected = "times of one kind in both files: export them alike, or join by name or by row ([join])";
                     return Err(row.refuse(points, Some(key.first()), message, expected));
                 }
@@ -219,8 +221,8 @@ impl Joints {
             _ => {
                 if !self.next(&mut own)? {
                     let message =
-                        format!("{name} has no row for it: its rows are fewer than those of {points}");
-                    let expected = "as many rows in both files; or the files joined by a name or a time ([join] in the column map)";
+                        format!("{name} has fewer rows than {points}, and none for this one");
+                    let expected = "as many rows in both files; or join the files by name or time ([join] in the column map)";
                     return Err(row.refuse(points, None, message, expected));
                 }
                 row.join(&name, &own);
@@ -231,19 +233,19 @@ impl Joints {
         Ok(joined)
     }
 
-    /// Looks at what is left when the points have ended.
+    /// Checks what is left when the points have ended.
     pub fn finish(&mut self, points: &str) -> Result<Option<String>, InputError> {
         let mut row = Row::default();
         if matches!(self.by, By::Row) && self.next(&mut row)? {
             let message =
-                format!("{points} has no row for it: its rows are fewer than those of {}", self.name);
-            let expected = "as many rows in both files; or the files joined by a name or a time ([join] in the column map)";
+                format!("{points} has fewer rows than {}, and none for this one", self.name);
+            let expected = "as many rows in both files; or join the files by name or time ([join] in the column map)";
             return Err(row.refuse(&self.name, None, message, expected));
         }
         let By::Name { used, .. } = &self.by else { return Ok(None) };
         let unused = used.iter().filter(|used| !**used).count();
         Ok((unused > 0).then(|| {
-            format!("{}: {unused} of {} rows have no point of their name in {points}", self.name, used.len())
+            format!("{}: {unused} of {} rows match no point by name in {points}", self.name, used.len())
         }))
     }
 }
@@ -259,7 +261,7 @@ fn column(entry: &Entry) -> ColumnRef {
 fn key_in(file: &FileColumns<'_>, key: &ColumnRef) -> Result<usize, InputError> {
     file.find(key)?.ok_or_else(|| {
         let expected =
-            format!("a column {}, by which the files are joined; found {}", words(key), file.names());
+            format!("a column {}, which the files are joined by; found {}", words(key), file.names());
         file.refuse(format!("column {} is missing", words(key)), &expected)
     })
 }
@@ -276,7 +278,7 @@ fn words(column: &ColumnRef) -> String {
     }
 }
 
-/// The row whose time is nearest, and how far it is away.
+/// The row whose time is nearest, and its difference.
 fn nearest(rows: &[(f64, Row)], time: f64) -> Option<(f64, &Row)> {
     let after = rows.partition_point(|(at, _)| *at < time);
     let near = rows.iter().skip(after.saturating_sub(1)).take(2);

@@ -40,14 +40,14 @@ impl Wanted {
         self.numbers.iter().filter_map(|column| row.cell(*column)).filter(is_number).count()
     }
 
-    /// Whether the row can be one of measurements, be it of a missed shot.
+    /// Whether the row can be a measurement, possibly a missed shot.
     fn is_measurement(&self, row: &Row) -> bool {
         let numbers = self.numbers_in(row, true);
         numbers > 0 && 2 * numbers >= self.numbers.len()
     }
 }
 
-/// What stands in front of a number's fraction.
+/// The decimal separator.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) enum Decimal {
     #[default]
@@ -55,11 +55,11 @@ pub(super) enum Decimal {
     Comma,
 }
 
-/// Longest text that is looked at as a number.
+/// Longest text that is tried as a number.
 const LONGEST_NUMBER: usize = 64;
 
 impl Decimal {
-    /// The number that a text is, which may be infinite or none at all (NaN).
+    /// The number that a text is, which may be infinite or NaN.
     pub fn parse(self, text: &str) -> Option<f64> {
         if self == Self::Point
             && let Ok(number) = text.parse()
@@ -69,7 +69,7 @@ impl Decimal {
         if text.len() > LONGEST_NUMBER || (self == Self::Comma && text.contains('.')) {
             return None;
         }
-        // As other programs write: decimal commas, exponents with a D, and the minus of typesetters.
+        // As other programs write: decimal commas, exponents with a D, and the typographic minus.
         let number: String = text
             .chars()
             .map(|c| match c {
@@ -86,11 +86,11 @@ impl Decimal {
     pub fn words(self) -> &'static str {
         match self {
             Self::Point => "a number, with a decimal point",
-            Self::Comma => "a number, with a decimal comma as the others of this file",
+            Self::Comma => "a number with a decimal comma, as the others of this file",
         }
     }
 
-    /// The same for a text that has separators of thousands in it.
+    /// The same for a text with separators of thousands.
     pub fn words_for(self, text: &str) -> String {
         let is_separator = |c: char| matches!(c, ',' | '.' | '\'' | '\u{2019}' | ' ' | '\u{a0}' | '\u{202f}');
         let without: String = text.chars().filter(|c| !is_separator(*c)).collect();
@@ -98,14 +98,14 @@ impl Decimal {
             && without.trim_start_matches('-').len() > 3
             && without.trim_start_matches('-').bytes().all(|byte| byte.is_ascii_digit());
         let what = self.words();
-        if has_thousands { format!("{what}, and without separators of thousands") } else { what.to_owned() }
+        if has_thousands { format!("{what}, without separators of thousands") } else { what.to_owned() }
     }
 }
 
 /// A column as the header has it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Column {
-    /// All of it, or the number of the column, from 1, where it has no name.
+    /// All of it, or the number of the column, from 1, if it has no name.
     pub header: String,
     /// Bytes of the name in it, without the unit.
     name: Range<usize>,
@@ -123,7 +123,7 @@ impl Column {
         Self { name: 0..0, header, unit: None }
     }
 
-    /// Without the unit; empty where it has no name.
+    /// Without the unit; empty if it has no name.
     pub fn name(&self) -> &str {
         &self.header[self.name.clone()]
     }
@@ -133,9 +133,9 @@ impl Column {
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct TableFormat {
     pub decimal: Option<Decimal>,
-    /// Of dates whose way of writing leaves it open.
+    /// Order of dates that are ambiguous.
     pub date: Option<DateOrder>,
-    /// Whether there is a header; found where it is not said.
+    /// Whether there is a header; found if not stated.
     pub header: Option<bool>,
 }
 
@@ -144,17 +144,17 @@ pub(super) struct Table {
     rows: Box<dyn Rows>,
     ahead: VecDeque<Row>,
     pub columns: Vec<Column>,
-    /// The header; where there is none, an empty row.
+    /// The header; an empty row if there is none.
     pub head: Row,
     pub has_header: bool,
     pub decimal: Decimal,
     pub dates: Dates,
-    /// What was found, in words.
+    /// Remarks, in words.
     pub found: Vec<String>,
 }
 
 impl Table {
-    /// A table whose first rows are read, and nothing of it known.
+    /// A table whose first rows are read, with nothing known about it.
     fn begin(mut rows: Box<dyn Rows>) -> Result<Self, InputError> {
         let mut ahead = VecDeque::new();
         while ahead.len() < AHEAD {
@@ -186,7 +186,7 @@ impl Table {
         })
     }
 
-    /// Finds the header among the first rows: the row with most of the wanted names, or none where columns are wanted by number alone.
+    /// Finds the header among the first rows: the row with most of the wanted names, or none if all columns are wanted by number.
     pub fn find(rows: Box<dyn Rows>, wanted: &Wanted, format: TableFormat) -> Result<Self, InputError> {
         let mut table = Self::begin(rows)?;
         match table.header(wanted, format.header)? {
@@ -198,8 +198,8 @@ impl Table {
         Ok(table)
     }
 
-    /// A table of which nothing is known beforehand: most of its rows have the same number of cells, and at least a third of these are
-    /// numbers; a row of names in front of the first of them is the header.
+    /// A table about which nothing is known beforehand: most of its rows have the same number of cells, and at least a third of these
+    /// are numbers; a row of names in front of the first of them is the header.
     pub fn find_any(rows: Box<dyn Rows>) -> Result<Self, InputError> {
         let mut table = Self::begin(rows)?;
         let mut counts: HashMap<usize, usize> = HashMap::new();
@@ -212,7 +212,7 @@ impl Table {
         let is_header =
             |row: &Row| row.len() >= cells && numbers(row) == 0 && units_row(row, row.len()).is_none();
         let header = table.ahead.iter().take(first).rposition(is_header);
-        // Nothing but units may stand between names and numbers.
+        // Only units may be between names and numbers.
         match header.filter(|header| first - header <= 2) {
             Some(header) => table.take_header(header),
             None => {
@@ -284,7 +284,7 @@ impl Table {
     fn take_header(&mut self, index: usize) {
         if index > 0 {
             self.found.push(format!(
-                "{}: {} in front of the header ({}) {} passed over",
+                "{}: {} in front of the header ({}) {} skipped",
                 self.name(),
                 if index == 1 { "1 row".to_owned() } else { format!("{index} rows") },
                 self.ahead[index].place(),
@@ -318,7 +318,7 @@ impl Table {
         (self.head, self.has_header) = (head, true);
     }
 
-    /// Passes over what stands in front of the first row of numbers.
+    /// Skips what is in front of the first row of numbers.
     fn skip_preamble(&mut self, wanted: &Wanted, stated: bool) {
         let first = self.ahead.iter().position(|row| wanted.is_measurement(row));
         let first = if stated { 0 } else { first.unwrap_or(0) };
@@ -327,14 +327,14 @@ impl Table {
         self.columns = (0..cells).map(Column::numbered).collect();
         if first > 0 {
             self.found.push(format!(
-                "{}: {} in front of {} {} passed over: no row of numbers",
+                "{}: {} in front of {} {} skipped: no row of numbers",
                 self.name(),
                 if first == 1 { "1 row".to_owned() } else { format!("{first} rows") },
                 self.ahead.front().map_or_else(String::new, |row| row.place().to_string()),
                 if first == 1 { "is" } else { "are" },
             ));
         }
-        // A header tells the units, also where nobody asks for its names.
+        // A header gives the units even if its names are not wanted.
         let units = preamble.last().filter(|row| row.len() == cells).and_then(|row| units_row(row, cells));
         let named = preamble.iter().rev().nth(usize::from(units.is_some())).filter(|row| row.len() == cells);
         let is_number = |cell: &str| Decimal::Point.parse(cell).is_some();
@@ -366,7 +366,7 @@ impl Table {
             }
         }
         let Some((place, cell)) = comma else { return Decimal::Point };
-        self.found.push(format!("{}: numbers have a decimal comma, as {cell} has", place.of(self.name())));
+        self.found.push(format!("{}: numbers have a decimal comma, for example {cell}", place.of(self.name())));
         Decimal::Comma
     }
 }
@@ -379,7 +379,7 @@ fn units_row(row: &Row, columns: usize) -> Option<Vec<Option<HeaderUnit>>> {
     (all && some && units.len() <= columns).then(|| units.into_iter().map(|(_, unit)| unit).collect())
 }
 
-/// Where blanks part a header, units are cells of their own: they go to the name in front of them.
+/// If blanks separate a header, units are separate cells: they belong to the name in front of them.
 fn with_units_in_place(names: Vec<String>, cells: usize) -> Vec<String> {
     let mut joined: Vec<String> = Vec::with_capacity(names.len());
     for name in &names {
@@ -433,7 +433,7 @@ mod tests {
             table.remarks(),
             [
                 "m.csv: 2 rows in front of the header (line 3) are passed over",
-                "m.csv:5: numbers have a decimal comma, as 1,5 has"
+                "m.csv:5: numbers have a decimal comma, for example 1,5"
             ]
         );
         let mut row = Row::default();

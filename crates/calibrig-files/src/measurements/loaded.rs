@@ -8,22 +8,22 @@ use calibrig_model::measurement::MeasurementSet;
 /// What a measurement file holds, or several that are one set.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct LoadedMeasurements {
-    /// The observations. Stations have no nests; targets lie at the flange's origin with no stated uncertainty: the file does not
-    /// say, the caller must.
+    /// The observations. Stations have no nests; targets are at the flange's origin without a stated uncertainty: the file does
+    /// not state these, the caller must.
     pub set: MeasurementSet,
     /// Rows that were left out: number of the pose, and why.
     pub dropped: Vec<(u32, String)>,
-    /// Whether the file names the station of every row; without, there is one of a name that nobody gave.
+    /// Whether the file names the station of every row; without, there is one with a default name.
     pub names_stations: bool,
     /// The same of targets.
     pub names_targets: bool,
     /// File and row of every observation.
     pub places: Places,
-    /// Names of the poses 1, 2 and so on, where the file has names in place of numbers.
+    /// Names of the poses 1, 2 and so on, if the file has names instead of numbers.
     pub pose_names: Vec<String>,
-    /// What was found of the files, and made of them, in words.
+    /// Remarks on the files, in words.
     pub remarks: Vec<String>,
-    /// Which observations are held out; empty where none is.
+    /// Which observations are held out; empty if none is.
     pub held_out: Vec<bool>,
     /// The same of what was dropped.
     pub held_out_dropped: Vec<bool>,
@@ -35,7 +35,7 @@ impl LoadedMeasurements {
         self.held_out.contains(&true)
     }
 
-    /// The identification set and the verification set, which the file or the map tells apart.
+    /// The identification set and the verification set, which the file or the map separates.
     #[must_use]
     pub fn split(mut self) -> (Self, Self) {
         let held_out = std::mem::take(&mut self.held_out);

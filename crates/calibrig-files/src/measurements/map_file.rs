@@ -109,10 +109,10 @@ pub fn load_column_map(path: &Path) -> Result<(ColumnMap, Source), InputError> {
     Ok((parse_column_map(&source)?, source))
 }
 
-/// What a suggested map leaves to a person, in front of what stands for it.
+/// Marks what a suggested map leaves to a person, in front of the placeholder.
 pub(super) const UNDECIDED: &str = "# DECIDE: ";
 
-/// Refuses a map in which something is left to decide.
+/// Refuses a map in which something is still to be decided.
 fn undecided(source: &Source) -> Result<(), InputError> {
     let mut start = 0;
     for line in source.text.split_inclusive('\n') {
@@ -120,12 +120,13 @@ fn undecided(source: &Source) -> Result<(), InputError> {
             let key = open.split('=').next().unwrap_or_default().trim();
             let at = start + line.len() - line.trim_start().len();
             let help = format!(
-                "expected `{key} = ...` with the right value in place of {:?}, and the # of its table taken away; or no such line, where it is not wanted",
+                "expected `{key} = ...` with the right value in place of {:?}, and without the # in front of its table; or \
+                 delete this line if it is not wanted",
                 UNDECIDED.trim()
             );
             return Err(source.error(
                 at..at + line.trim().len(),
-                format!("{key} is left to decide"),
+                format!("{key} is still to be decided"),
                 Some(help),
             ));
         }
@@ -147,7 +148,7 @@ pub fn parse_column_map(source: &Source) -> Result<ColumnMap, InputError> {
     let joints = file.joints.get_ref();
     let columns = reader.entries(&joints.columns)?;
     if columns.is_empty() {
-        return Err(reader.error(file.joints.span(), "[joints] names no columns", "one column a joint"));
+        return Err(reader.error(file.joints.span(), "[joints] names no columns", "one column per joint"));
     }
     let approach = match &file.columns.approach {
         Some(list) => reader.entries(list)?,
@@ -156,13 +157,13 @@ pub fn parse_column_map(source: &Source) -> Result<ColumnMap, InputError> {
     if let Some(list) = &file.columns.approach
         && approach.len() != columns.len()
     {
-        let message = format!("approach names {} columns, [joints] {}", approach.len(), columns.len());
-        return Err(reader.error(list.span(), message, "one column an actuator"));
+        let message = format!("approach names {} columns, but [joints] names {}", approach.len(), columns.len());
+        return Err(reader.error(list.span(), message, "one column per actuator"));
     }
     let approach_from_order = matches!(file.rows.approach_from, Some(ApproachFrom::Order));
     if let Some(list) = file.columns.approach.as_ref().filter(|_| approach_from_order) {
-        let message = "approach names columns, and [rows] has approach_from";
-        return Err(reader.error(list.span(), message, "one of them"));
+        let message = "approach names columns, but [rows] has approach_from as well";
+        return Err(reader.error(list.span(), message, "only one of them"));
     }
     let optional = |entry: Option<&Spanned<RawEntry>>| entry.map(|entry| reader.single(entry)).transpose();
     let rest = &file.columns;
@@ -208,7 +209,7 @@ pub fn parse_column_map(source: &Source) -> Result<ColumnMap, InputError> {
     Ok(ColumnMap::new(mapping, source.clone()))
 }
 
-/// Says of an unknown key in which table it is known.
+/// Says for an unknown key in which table it is known.
 fn with_the_table_of_a_stray_key(mut error: InputError) -> InputError {
     const TABLES: [(&str, &[&str]); 9] = [
         ("[joints]", &["revolute_unit", "prismatic_unit"]),
@@ -250,11 +251,11 @@ fn with_the_table_of_a_stray_key(mut error: InputError) -> InputError {
     };
     if key == "target" {
         help.push_str(
-            "; the column with the targets' names is `target` in [columns]; where they are on the flange is stated in the robot's file \
-             ([target], [[target]]) or in a session file",
+            "; the column with the targets' names is `target` in [columns]; the targets' places on the flange belong in the \
+             robot's file ([target], [[target]]) or in a session file",
         );
     } else if let Some((table, _)) = TABLES.iter().find(|(_, keys)| keys.contains(&key)) {
-        help.push_str("; it stands in ");
+        help.push_str("; it belongs in ");
         help.push_str(table);
     }
     error

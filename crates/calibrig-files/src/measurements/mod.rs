@@ -1,9 +1,9 @@
-//! Measurement files, and the maps that tell what their columns hold.
+//! Measurement files, and the maps that describe their columns.
 //!
-//! A file is [rows](rows) of texts, whatever kind it is ([open]): [text], or what another reader makes of a spreadsheet or a bag. Behind that,
-//! the [layout] tells header from measurements, the [map file](map_file) which [columns] mean what, the [header] where they are, [join] adds the
-//! commands of another file, and the [reader] makes observations of rows, whose [times] may be written in any way. [suggest] writes a map from what is seen.
-//! [goals] are tables of points where a tool is to be.
+//! Whatever kind of file it is ([open]), it becomes [rows](rows) of texts: of [text], or of a spreadsheet or a bag by another reader. Then the
+//! [layout] separates header from measurements, the [map file](map_file) states which [columns] mean what, the [header] finds them, [join] adds the
+//! commands of another file, and the [reader] turns rows into observations, whose [times] may be written in any way. [suggest] writes a map from what
+//! it finds. [goals] are tables of points where a tool is to be.
 
 mod cells;
 mod columns;

@@ -1,4 +1,4 @@
-//! Which reader a file gets: told by its first bytes, not by its name.
+//! Which reader a file gets: decided by its first bytes, not by its name.
 
 use std::fs::File;
 use std::io::Read;
@@ -33,7 +33,7 @@ fn first_bytes(path: &Path) -> std::io::Result<Vec<u8>> {
     Ok(start)
 }
 
-/// Whether a file is a bag, or another MCAP file; false where it cannot be read, which is told by whoever reads it.
+/// Whether a file is a bag, or another MCAP file; false if it cannot be read, which its reader reports.
 pub fn is_bag(path: &Path) -> bool {
     first_bytes(path).is_ok_and(|start| start.starts_with(CUT_BAG))
 }
@@ -54,7 +54,7 @@ pub(super) fn open(
 ) -> Result<Box<dyn Rows>, InputError> {
     let unreadable = |reason: String| InputError::Unreadable { path: path.to_path_buf(), reason };
     if path.is_dir() {
-        return Err(unreadable("it is a folder, a file was expected".to_owned()));
+        return Err(unreadable("it is a folder; expected a file".to_owned()));
     }
     let start = first_bytes(path).map_err(|error| unreadable(error.to_string()))?;
     if let Some((_, what)) = OTHER_KINDS.iter().find(|(begin, _)| start.starts_with(begin)) {
@@ -63,17 +63,18 @@ pub(super) fn open(
     match start.as_slice() {
         [b'P', b'K', 3, 4, ..] => Ok(Box::new(MemoryRows::from(read_sheet(path, options.sheet.as_deref())?))),
         [0xd0, 0xcf, 0x11, 0xe0, ..] => Err(unreadable(
-            "it is a spreadsheet of the old kind (XLS), or one with a password: save it as XLSX without, or its sheet as CSV".to_owned(),
+            "it is a spreadsheet of the old kind (XLS), or one with a password: save it as XLSX without a password, or its \
+             sheet as CSV".to_owned(),
         )),
         start if start.starts_with(CUT_BAG) => {
             let bag = BagOptions { enough: wanted.names.clone(), ..options.bag.clone() };
             Ok(Box::new(MemoryRows::from(read_bag(path, &bag)?)))
         }
         [b'#', b'R', b'O', b'S', b'B', b'A', b'G', ..] => {
-            Err(unreadable("it is a bag of ROS 1: convert it to MCAP with ROS 2's messages, or write its points as CSV".to_owned()))
+            Err(unreadable("it is a ROS 1 bag: convert it to MCAP with ROS 2 messages, or write its points as CSV".to_owned()))
         }
         [b'S', b'Q', b'L', b'i', b't', b'e', ..] => Err(unreadable(
-            "it is an SQLite file, as ROS 2's bags were once: convert it to MCAP (`ros2 bag convert`)".to_owned(),
+            "it is an SQLite file, the old format of ROS 2 bags: convert it to MCAP (`ros2 bag convert`)".to_owned(),
         )),
         _ => Ok(Box::new(TextRows::open(path, format, wanted)?)),
     }

@@ -43,7 +43,7 @@ impl Places {
             .then(|| (self.files[run.file].as_str(), run.place.further((observation - run.first) as u64)))
     }
 
-    /// File and row of an observation: `m.csv:17`; `None` where it comes from no file.
+    /// File and row of an observation: `m.csv:17`; `None` if it comes from no file.
     pub fn of(&self, observation: usize) -> Option<String> {
         self.find(observation).map(|(file, place)| place.of(file))
     }

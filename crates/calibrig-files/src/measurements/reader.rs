@@ -21,7 +21,7 @@ use crate::payloads::{NO_PAYLOAD, payload_by_name};
 use calibrig_model::Payload;
 use calibrig_model::measurement::{MeasurementSet, Motion, Observation, Reading, Station, Target};
 
-/// Least motion of an actuator that is one, m or rad.
+/// Least motion of an actuator that counts as one, m or rad.
 const MOTION: f64 = 1e-6;
 
 /// Makes observations of the rows of one file.
@@ -32,21 +32,21 @@ pub(super) struct RowReader<'a> {
     pub file: &'a str,
     /// All columns of joined rows.
     pub names: &'a [Column],
-    /// Those from here on are of the file of the joints, whose numbers are written in the second way.
+    /// From this column on they belong to the file of the joints, whose numbers use the second format.
     pub joints_from: usize,
     pub decimals: [Decimal; 2],
-    /// The target of the whole file, where it is one for each.
+    /// The target of the whole file, if it is of one.
     pub target: Option<&'a str>,
     pub time: Option<TimeReader>,
-    /// What approaches follow from.
+    /// Source of the approaches.
     pub motion: Motion,
     pub faces: Faces,
-    /// How far the numbers of a rotation were from one, at most.
+    /// Largest deviation of a rotation's numbers from a rotation.
     pub rounded: Cell<f64>,
     pub rows: u32,
 }
 
-/// What was named so far.
+/// Names so far.
 #[derive(Debug, Default)]
 pub(super) struct Names {
     /// Whether poses have names; `None` before the first.
@@ -87,7 +87,7 @@ impl Names {
     }
 }
 
-/// Refuses a row that is shorter than the header, or has more in it.
+/// Refuses a row that is shorter or longer than the header.
 pub(super) fn check_length(
     file: &str,
     row: &Row,
@@ -95,14 +95,14 @@ pub(super) fn check_length(
     has_header: bool,
 ) -> Result<(), InputError> {
     let (found, expected) = (row.len(), names.len());
-    // Sheets do not hold what is empty.
+    // Sheets do not store empty cells.
     if found < expected && !matches!(row.place(), Place::Sheet { .. }) {
         let (missing, as_header) = if has_header {
-            (names[found].header.clone(), "as the header has names")
+            (names[found].header.clone(), "as the header has")
         } else {
             (format!("column {}", found + 1), "as the first row has")
         };
-        let message = format!("the row has {found} of {expected} columns, {missing} is missing");
+        let message = format!("the row has {found} of {expected} columns; {missing} is missing");
         return Err(row.refuse(file, None, message, &format!("{expected} values, {as_header}")));
     }
     match (expected..found).find(|column| row.cell(*column).is_some_and(|cell| !cell.is_empty())) {
@@ -112,7 +112,7 @@ pub(super) fn check_length(
             let mut help =
                 format!("{expected} values, as {first} has{}", if has_header { " names" } else { "" });
             if found == 2 * expected || found + 1 == 2 * expected {
-                help += "; decimal commas between commas cannot be told apart: export with another delimiter";
+                help += "; decimal commas cannot be told from the commas between the values: export with another delimiter";
             }
             Err(row.refuse(file, Some(column), message, &help))
         }
@@ -135,7 +135,7 @@ impl RowReader<'_> {
         };
         let held_out = cells.is_held_out(pose, names.of_pose(pose))?;
         let missed = cells.missed();
-        // A shot was missed where the robot had gone to.
+        // A shot was missed where the robot had gone.
         let command = match &missed {
             Some(_) if !self.options.approach_from_order => Vec::new(),
             _ => cells.command()?,
@@ -206,20 +206,20 @@ impl RowReader<'_> {
         Ok((pose, cells.command()?))
     }
 
-    /// What is to be said of the file's readings beside the rows.
+    /// Remarks on the file's readings besides the rows.
     pub fn remarks(&self) -> Vec<String> {
         let mut remarks = self.faces.remarks(self.file);
         let off = self.rounded.get();
         if off > 1e-6 {
             remarks.push(format!(
-                "{}: rotations are off their form by up to {off:.1e}, as few digits leave them: the nearest ones are taken, and about as much \
-                 (in rad) is not known of them",
+                "{}: rotations differ from exact ones by up to {off:.1e}, as rounding leaves them: the nearest rotations are \
+                 used, with an uncertainty of about as much (rad)",
                 self.file
             ));
         }
         remarks.extend(self.columns.air.iter().map(|(what, _)| {
             format!(
-                "{}: {} is checked, and not used: ranges are taken as the instrument gives them",
+                "{}: {} is checked, but not used: ranges are taken as the instrument gives them",
                 self.file,
                 what.key()
             )
@@ -227,8 +227,8 @@ impl RowReader<'_> {
         remarks
     }
 
-    /// Number of the pose where no column has it: that of the row, or of the first one of a stop, at which several shots are taken or several
-    /// targets are measured one behind the other with the same command and payload.
+    /// Number of the pose if no column has it: that of the row, or of the first row of a stop, at which several shots or several targets are
+    /// measured in sequence with the same command and payload.
     fn stop(&self, cells: &Cells<'_>, loaded: &LoadedMeasurements) -> Result<u32, InputError> {
         let last = loaded.set.observations.last().filter(|_| self.rows > 1 && cells.missed().is_none());
         let Some(last) = last else { return Ok(self.rows) };
@@ -278,7 +278,8 @@ impl<'r> Cells<'r> {
             Some(number) if number.is_finite() => Ok(number),
             Some(_) => Err(self.refuse_cell(column, "a finite number")),
             None if decimal == Decimal::Point && Decimal::Comma.parse(cell).is_some() => {
-                let expected = "a number, with a decimal point as others of this file; decimal = \",\" in [text] of a column map reads commas";
+                let expected = "a number with a decimal point, as others of this file; decimal = \",\" in [text] of a column \
+                                map reads decimal commas";
                 Err(self.refuse_cell(column, expected))
             }
             None => Err(self.refuse_cell(column, &decimal.words_for(cell))),
@@ -290,7 +291,7 @@ impl<'r> Cells<'r> {
         if let [QuantityTerm { column, sign, scale }] = quantity.terms.as_slice() {
             return Ok(scale.in_si(sign * self.number(*column)?));
         }
-        // Minus zero is what leaves the sign of a zero as it is when added to.
+        // Minus zero leaves the sign of a zero unchanged when added to.
         let mut sum = -0.0;
         for QuantityTerm { column, sign, scale } in &quantity.terms {
             let number = self.number(*column)?;
@@ -327,7 +328,7 @@ impl<'r> Cells<'r> {
     }
 
     fn whole_number(&self, column: usize, number: Option<f64>, may_be_name: bool) -> Result<u32, InputError> {
-        // Tables that went through a spreadsheet say 3.0 for 3.
+        // Tables from a spreadsheet write 3.0 for 3.
         if let Some(number) = number
             && number.fract() == 0.0
             && (0.0..=f64::from(u32::MAX)).contains(&number)
@@ -340,10 +341,10 @@ impl<'r> Cells<'r> {
             return Ok(number as u32);
         }
         let expected = if may_be_name {
-            "a whole number from 0 to 4294967295, the number of the pose, as the rows before have; or names in all rows"
+            "a whole number from 0 to 4294967295, the number of the pose, as in the rows before; or names in all rows"
         } else {
-            "a whole number from 0 to 4294967295, the number of the pose; where the column holds names, no pose column (in a \
-             column map: leave `pose` out): the rows then count from 1"
+            "a whole number from 0 to 4294967295, the number of the pose; if the column holds names, do not use it as the \
+             pose (in a column map: leave `pose` out): the rows are then counted from 1"
         };
         Err(self.refuse_cell(column, expected))
     }
@@ -363,12 +364,12 @@ impl<'r> Cells<'r> {
             _ if sets.verification.is_empty() => Ok(true),
             _ => {
                 let known: Vec<_> = sets.identification.iter().chain(&sets.verification).collect();
-                Err(self.refuse_cell(column, &format!("one of {known:?}, as [sets] of the column map says")))
+                Err(self.refuse_cell(column, &format!("one of {known:?}, as [sets] of the column map states")))
             }
         }
     }
 
-    /// Why the row is of a missed shot, where its cells say so.
+    /// Why the row is a missed shot, if its cells say so.
     fn missed(&self) -> Option<String> {
         let quantities = self.reader.columns.position.quantities();
         let columns = || quantities.iter().flat_map(|quantity| &quantity.terms).map(|term| term.column);
@@ -450,16 +451,16 @@ impl<'r> Cells<'r> {
         }
         let hint = likelier_temperature(value, stated).map_or_else(String::new, |unit| {
             let (sign, key) = (unit.sign(), unit.key());
-            format!("; as {sign} it can be one: then the key in a column map is temperature_{key}")
+            format!("; as {sign} it is possible: then the key in a column map is temperature_{key}")
         });
         let expected = format!(
-            "a temperature from {least} to {most} °C, and the column is read in {}{hint}",
+            "a temperature from {least} to {most} °C, but the column is read in {}{hint}",
             stated.sign()
         );
         Err(self.refuse_cell(quantity.terms[0].column, &expected))
     }
 
-    /// What the flange carries; `None` where the row says nothing, or nothing of it weighs.
+    /// What the flange carries; `None` if the row states nothing, or nothing with a weight.
     fn payload(&self) -> Result<Option<Payload>, InputError> {
         match &self.reader.columns.payload {
             None => Ok(None),
@@ -478,7 +479,7 @@ impl<'r> Cells<'r> {
                     if rest && (name.is_empty() || name == NO_PAYLOAD) {
                         return Ok(None);
                     }
-                    let expected = "the mass of the payload of which the row says more, kg; or nothing of it";
+                    let expected = "the mass in kg of the payload that this row describes; or an empty payload in this row";
                     return Err(self.refuse_cell(weighed, expected));
                 }
                 let kg = self.value(mass)?;
@@ -502,7 +503,7 @@ impl<'r> Cells<'r> {
         }
     }
 
-    /// Refuses a pressure or humidity that cannot be. They are not used: ranges are those of the instrument, which allows for the air.
+    /// Refuses an impossible pressure or humidity. They are not used: ranges are those of the instrument, which corrects for the air.
     fn check_air(&self) -> Result<(), InputError> {
         for (what, quantity) in &self.reader.columns.air {
             if self.is_empty(std::slice::from_ref(quantity)) {
@@ -525,8 +526,8 @@ impl<'r> Cells<'r> {
         let (this, other) =
             if is_pose(reading) { ("a full pose", "a point") } else { ("a point", "a full pose") };
         let place = loaded.places.of(0).unwrap_or_default();
-        let message = format!("this row is {this}, and {place} is {other}");
-        let expected = "either full poses or points in a set: identify from each alone";
+        let message = format!("this row is {this}, but {place} is {other}");
+        let expected = "either full poses or points in one set: write them to two files and identify from each separately";
         Err(self.row.refuse(self.reader.file, None, message, expected))
     }
 

@@ -11,13 +11,13 @@ use calibrig_model::Payload;
 use calibrig_model::geometry::rotation_vector;
 use calibrig_model::measurement::{Face, Observation, PoseReading, Reading, SphericalReading};
 
-/// Commands of one pose may differ by so much, m or rad.
+/// Largest difference between commands of one pose, m or rad.
 pub(super) const SAME_COMMAND: f64 = 1e-3;
 
-/// Fewest degrees of freedom whose scatter is a standard deviation.
+/// Fewest degrees of freedom from which a scatter gives a standard deviation.
 const ENOUGH: usize = 6;
 
-/// Station, target, approach, the payload, and the face where readings of both stay apart.
+/// Station, target, approach, the payload, and the face if readings of both are kept apart.
 type Reached<'a> = (usize, usize, &'a [i8], Option<[u64; 7]>, Face);
 
 /// Observations that are of one pose, station and target, in the order of their first ones; those of both faces in one group, or apart.
@@ -27,10 +27,10 @@ pub(super) fn groups(
     with_both_faces: bool,
 ) -> Vec<Vec<usize>> {
     let mut groups: Vec<Vec<usize>> = Vec::new();
-    // From another side a machine with play goes elsewhere: that is no scatter.
+    // From another side a machine with play goes elsewhere: that is not scatter.
     let mut known: HashMap<(u32, Reached<'_>), usize> = HashMap::new();
     let mut by_command: HashMap<(Vec<u64>, Reached<'_>), usize> = HashMap::new();
-    // Where no column has the poses, or every row has a number of its own, it is the command that tells which rows are repeats.
+    // If no column has the poses, or every row has its own number, equal commands show which rows are repeats.
     let face = |o: &Observation| if with_both_faces { Face::Front } else { o.reading.face() };
     let numbers: std::collections::HashSet<_> =
         observations.iter().map(|o| (o.pose, o.station, o.target, face(o))).collect();
@@ -53,17 +53,17 @@ pub(super) fn groups(
     groups
 }
 
-/// Puts the mean in the place of the repeats of a pose (the same number, station, target, approach and payload), and their scatter where they state no
-/// uncertainty: pooled over all poses and axes, over the square root of the repeats.
+/// Replaces the repeats of a pose (the same number, station, target, approach and payload) by their mean, with their scatter if they state no
+/// uncertainty: pooled over all poses and axes, over the square root of the number of repeats.
 ///
 /// # Errors
-/// Rows of one pose whose commands are not the same.
+/// Errors if commands of one pose differ.
 pub(super) fn average(loaded: &mut LoadedMeasurements, numbers_poses: bool) -> Result<(), InputError> {
     let observations = &loaded.set.observations;
     let groups = groups(observations, numbers_poses, false);
     let repeated = groups.iter().filter(|group| group.len() > 1).count();
     if repeated == 0 {
-        loaded.remarks.push("no pose is measured more than once: there is nothing to average".to_owned());
+        loaded.remarks.push("no pose is measured more than once, so there is nothing to average: use repeats = \"keep\"".to_owned());
         return Ok(());
     }
     let (mut squares, mut free) = (0.0, 0);
@@ -94,8 +94,8 @@ pub(super) fn average(loaded: &mut LoadedMeasurements, numbers_poses: bool) -> R
         loaded.set.observations.len(),
         match averaged_are_poses {
             _ if stated => "",
-            true => "; full poses that state no uncertainty keep none, since this says nothing of rotations",
-            false => "; too few to state an uncertainty from",
+            true => "; full poses without a stated uncertainty stay without one, because this says nothing about rotations",
+            false => "; too few to estimate an uncertainty from",
         },
     ));
     Ok(())
@@ -116,7 +116,7 @@ pub(super) fn check_commands(loaded: &LoadedMeasurements, group: &[usize]) -> Re
             return Err(InputError::Place {
                 place: at(*index),
                 message: format!(
-                    "pose {} has other commands than in {}, by up to {apart:.4} (m or rad): they are no repeats",
+                    "pose {} has other commands than in {}, by up to {apart:.4} (m or rad): they are not repeats",
                     other.pose,
                     at(group[0])
                 ),
@@ -129,7 +129,7 @@ pub(super) fn check_commands(loaded: &LoadedMeasurements, group: &[usize]) -> Re
     Ok(())
 }
 
-/// The mean of repeats; `scatter` is the variance of one reading along each axis, where it is known.
+/// The mean of repeats; `scatter` is the variance of one reading along each axis, if known.
 fn mean_observation(members: &[&Observation], scatter: Option<f64>) -> Observation {
     let mut mean = members[0].clone();
     // Scatter is that of positions.
@@ -172,7 +172,7 @@ fn mean_observation(members: &[&Observation], scatter: Option<f64>) -> Observati
     mean
 }
 
-/// The mean of spherical readings, angle by angle; `None` where there is another reading among them, or one that states no uncertainty.
+/// The mean of spherical readings, angle by angle; `None` if a reading is of another kind, or states no uncertainty.
 fn spherical(members: &[&Observation]) -> Option<SphericalReading> {
     let readings: Vec<&SphericalReading> = members
         .iter()
@@ -196,8 +196,8 @@ fn spherical(members: &[&Observation]) -> Option<SphericalReading> {
     })
 }
 
-/// The mean of full poses; `None` where there is another reading among them. Its uncertainty is that of the readings over the root of their
-/// number, where all state one: the scatter of positions says nothing of rotations.
+/// The mean of full poses; `None` if a reading is of another kind. Its uncertainty is that of the readings over the root of their number,
+/// if all state one: the scatter of positions says nothing about rotations.
 fn full_pose(members: &[&Observation]) -> Option<PoseReading> {
     let poses: Vec<&PoseReading> = members
         .iter()
@@ -209,7 +209,7 @@ fn full_pose(members: &[&Observation]) -> Option<PoseReading> {
     let count = poses.len() as f64;
     let stated: Option<Vec<Matrix6<f64>>> = poses.iter().map(|pose| pose.covariance).collect();
     let first = poses.first()?.rotation;
-    // Repeats are turned by so little that the mean of the rotation vectors between them is that of the rotations.
+    // Repeats differ so little that the mean of the rotation vectors between them is that of the rotations.
     let apart = poses.iter().map(|pose| rotation_vector(&(pose.rotation * first.inverse())));
     let mean = apart.sum::<Vector3<f64>>() / count;
     Some(PoseReading {

@@ -1,7 +1,7 @@
-//! Rows of texts, whatever kind of file they come from: what lies between readers of files and the column map.
+//! Rows of texts, whatever kind of file they come from: the interface between readers of files and the column map.
 //!
-//! A reader gives rows as they stand in its file, the header as a row like any other. Which row that is, what the columns mean and which
-//! rows are measurements is found behind this.
+//! A reader gives rows as they are in its file, the header like any other. Which row is the header, what the columns mean and which rows
+//! are measurements is found later.
 
 use std::fmt;
 use std::ops::Range;
@@ -17,20 +17,20 @@ pub trait Rows {
     /// Puts the next row into `row`; false at the end of the table.
     ///
     /// # Errors
-    /// The file cannot be read on.
+    /// Errors if the file cannot be read any further.
     fn next_row(&mut self, row: &mut Row) -> Result<bool, InputError>;
 
-    /// What was made of the file beside its rows, in words: its encoding, say.
+    /// Remarks on the file besides its rows, in words: its encoding, for example.
     fn remarks(&self) -> Vec<String> {
         Vec::new()
     }
 
-    /// Whether the row that was given last is the last one of a text whose last line does not end.
+    /// Whether the last row given is that of a text whose last line has no line end.
     fn breaks_off(&self) -> bool {
         false
     }
 
-    /// What stands in the file beside its rows, with line numbers: comments.
+    /// Comments in the file, with line numbers.
     fn comments(&self) -> &[(u64, String)] {
         &[]
     }
@@ -60,7 +60,7 @@ pub enum Place {
 }
 
 impl Place {
-    /// The place that is `rows` further on.
+    /// The place `rows` further on.
     #[must_use]
     pub(super) fn further(&self, rows: u64) -> Self {
         let mut place = self.clone();
@@ -103,7 +103,7 @@ impl fmt::Display for Place {
     }
 }
 
-/// As much of a line as a message can show: all of it, or what stands near the place.
+/// As much of a line as a message can show: all of it, or the part around the place.
 fn near(line: &str, span: Range<usize>) -> (String, Range<usize>) {
     const LONGEST: usize = 500;
     const AROUND: usize = 100;
@@ -134,16 +134,16 @@ fn letters(mut column: usize) -> String {
     letters.iter().rev().map(|byte| char::from(*byte)).collect()
 }
 
-/// Cells of a row, and where they are. One is used again for every row of a table.
+/// Cells of a row, and their places. One is reused for every row of a table.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Row {
     place: Place,
-    /// The line of a text as it stands there; behind it whatever cells are not a part of it as they are.
+    /// The line of a text as it is; after it, cells that are not verbatim in the line.
     buffer: String,
     /// Length of that line.
     line: usize,
     cells: Vec<CellRange>,
-    /// Where the cells come from another file's row: from which on, and that file and row.
+    /// From which cell on they come from another file's row, with that file and row.
     joined: Option<(usize, Arc<str>, Place)>,
 }
 
@@ -171,7 +171,7 @@ impl Row {
         self.joined = None;
     }
 
-    /// Adds a cell; blanks around it are no part of it.
+    /// Adds a cell; blanks around it are not part of it.
     pub fn push(&mut self, text: &str) {
         self.push_at(text.trim(), 0..0);
     }
@@ -200,8 +200,8 @@ impl Row {
         &mut self.buffer
     }
 
-    /// Cuts the line at every byte that is a delimiter; blanks around a cell are no part of it. `runs` of delimiters count as one, and those at
-    /// the ends as none. For lines of ASCII without quotes, which most are.
+    /// Cuts the line at every delimiter byte; blanks around a cell are not part of it. `runs` of delimiters count as one, and those at the ends
+    /// are ignored. For lines of ASCII without quotes, the usual case.
     pub(super) fn cut(&mut self, is_delimiter: impl Fn(u8) -> bool, runs: bool) {
         let bytes = self.buffer.as_bytes();
         let is_blank = |byte: u8| matches!(byte, b' ' | b'\t') && !is_delimiter(byte);
@@ -231,7 +231,7 @@ impl Row {
         self.buffer.push_str(behind);
     }
 
-    /// Adds a cell whose text is not in the line, which is `line` long and taken out, but stands behind it.
+    /// Adds a cell whose text is not in the line, which is `line` long and taken out, but follows it.
     pub(super) fn push_behind(&mut self, text: &str, line: usize, span: Range<usize>) {
         let start = line + self.buffer.len();
         self.buffer.push_str(text);
@@ -253,7 +253,7 @@ impl Row {
         self.cells.len()
     }
 
-    /// Whether there is no cell with something in it.
+    /// Whether all cells are empty.
     pub fn is_empty(&self) -> bool {
         self.cells.iter().all(|cell| cell.text.is_empty())
     }
@@ -268,7 +268,7 @@ impl Row {
         self.cells.iter().map(|cell| &self.buffer[cell.text.clone()])
     }
 
-    /// Makes it `count` cells long, with empty ones or by leaving some out.
+    /// Makes it `count` cells long, by adding empty ones or removing some.
     pub(super) fn resize(&mut self, count: usize) {
         let end = self.line;
         self.cells.resize(count, CellRange { text: 0..0, span: end..end });
@@ -330,7 +330,7 @@ impl MemoryRows {
         Self { name: name.into(), rows: rows.into_iter(), remarks: Vec::new() }
     }
 
-    /// The same with what is to be said of them.
+    /// The same with remarks on them.
     #[must_use]
     pub fn with_remarks(self, remarks: Vec<String>) -> Self {
         Self { remarks, ..self }

@@ -1,4 +1,5 @@
-//! A column map from what is seen in files: every guess with its reason, and nothing decided that cannot be seen.
+//! A column map from what is found in files: every guess with its reason, and no decision that the files do not
+//! support.
 
 mod apart;
 mod column;
@@ -23,19 +24,19 @@ use super::text::TextFormat;
 use super::times::{self, Dates};
 use crate::input::InputError;
 
-/// More are none of measurements.
+/// More columns than a table of measurements has.
 const MOST_COLUMNS: usize = 2000;
 
 /// A column map that was suggested.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SuggestedMap {
-    /// The map, with reasons as comments. Where something must be decided by a person, its key stands in a comment.
+    /// The map, with reasons as comments. If a person must decide something, its key is in a comment.
     pub text: String,
     /// What must be decided before the map can be used.
     pub open: Vec<String>,
 }
 
-/// What was seen in one file.
+/// Findings in one file.
 pub(super) struct SeenFile {
     pub name: String,
     pub has_header: bool,
@@ -43,7 +44,7 @@ pub(super) struct SeenFile {
     pub is_bag: bool,
     pub decimal: Decimal,
     pub dates: Dates,
-    /// A cell of numbers with nothing between them, as fixed widths leave them.
+    /// A cell of numbers with nothing between them, as in fixed widths.
     pub glued: Option<String>,
     /// Characters of each column, by which such cells are cut.
     pub widths: Option<Vec<usize>>,
@@ -54,18 +55,18 @@ pub(super) struct SeenFile {
     pub found: Vec<String>,
 }
 
-/// Suggests a column map for one file, or for several that belong together: joints in one and points in others, or one file a target.
-/// Of the options, the sheet and what is read of a bag count.
+/// Suggests a column map for one file, or for several that belong together: joints in one and points in others, or one file per
+/// target. Of the options, only the sheet and those of a bag are used.
 ///
 /// # Errors
-/// A file that cannot be read as rows.
+/// Errors if a file cannot be read as rows.
 pub fn suggest_columns(paths: &[&Path], options: &RowOptions) -> Result<SuggestedMap, InputError> {
     let mut files = paths.iter().map(|path| look_at(path, options)).collect::<Result<Vec<_>, _>>()?;
     apart::see_together(&mut files);
     Ok(written::map_of(&files))
 }
 
-/// Looks at a file, cut at fixed widths where it has to be.
+/// Reads a file, cut at fixed widths if necessary.
 fn look_at(path: &Path, options: &RowOptions) -> Result<SeenFile, InputError> {
     let seen = look_as(path, &TextFormat::default(), options)?;
     if seen.glued.is_none() {
@@ -81,7 +82,7 @@ fn look_at(path: &Path, options: &RowOptions) -> Result<SeenFile, InputError> {
     }
 }
 
-/// Reads all rows of a file and keeps what tells of its columns.
+/// Reads all rows of a file and keeps what characterises its columns.
 fn look_as(path: &Path, format: &TextFormat, options: &RowOptions) -> Result<SeenFile, InputError> {
     let rows = open(path, format, &Wanted::default(), options)?;
     let mut table = Table::find_any(rows)?;
@@ -90,7 +91,7 @@ fn look_as(path: &Path, format: &TextFormat, options: &RowOptions) -> Result<See
             place: table.name().to_owned(),
             message: format!("its rows have {} columns", table.columns.len()),
             help: Some(format!(
-                "expected a table of measurements: a row a reading, of at most {MOST_COLUMNS} columns"
+                "expected a table of measurements: one row per reading, with at most {MOST_COLUMNS} columns"
             )),
         });
     }
@@ -110,13 +111,13 @@ fn look_as(path: &Path, format: &TextFormat, options: &RowOptions) -> Result<See
         }
     }
     if columns.iter().all(|column| column.numbers.count == 0) {
-        // Which sheet was read, where there are others.
+        // Which sheet was read, if there are others.
         let sheets = table.remarks().into_iter().find(|remark| remark.contains("--sheet"));
         let sheets = sheets.map_or_else(String::new, |sheets| format!("; {sheets}"));
         return Err(InputError::Place {
             place: table.name().to_owned(),
-            message: "there is no row of numbers in it".to_owned(),
-            help: Some(format!("expected a row of numbers for every measurement{sheets}")),
+            message: "it has no row of numbers".to_owned(),
+            help: Some(format!("expected one row of numbers per measurement{sheets}")),
         });
     }
     let unit_comments = table

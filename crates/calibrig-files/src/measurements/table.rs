@@ -1,4 +1,4 @@
-//! Tables that come from files that are no text: sheets of spreadsheets, and what bags hold.
+//! Tables from files that are not text: sheets of spreadsheets, and bags.
 
 pub(super) mod bag;
 mod cdr;
@@ -9,14 +9,14 @@ mod tests;
 
 use super::rows::Place;
 
-/// Rows of texts as they stand in a file, the header as a row like any other.
+/// Rows of texts as they are in a file, the header like any other.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Table {
     /// The file, as messages call it.
     pub name: String,
     /// From the first.
     pub rows: Vec<TableRow>,
-    /// What was made of the file beside its rows, in words.
+    /// Remarks on the file besides its rows, in words.
     pub remarks: Vec<String>,
 }
 
@@ -25,7 +25,7 @@ pub struct Table {
 pub struct TableRow {
     /// Where it is.
     pub place: Place,
-    /// One text a cell. Numbers read back to the same bits.
+    /// One text per cell. Numbers read back to the same bits.
     pub cells: Vec<String>,
 }
 

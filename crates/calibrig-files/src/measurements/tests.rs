@@ -174,7 +174,7 @@ fn every_mistake_is_named_with_its_line_and_what_was_expected() {
         ),
         (&OWN[OWN.find('\n').unwrap()..], "\n\n,,,,\n", "no measurements below the header", 1, "row", "pose"),
         ("q2_rad", "q2_deg", "column q2_rad is missing", 1, "found pose, station", "pose"),
-        ("temperature_c", "el_rad", "column el_rad is there twice", 1, "distinct", "pose"),
+        ("temperature_c", "el_rad", "column el_rad appears twice", 1, "distinct", "pose"),
         ("sigma_az_rad", "sigma_azimuth", "column sigma_az_rad is missing", 1, "found", "pose"),
         ("approach2", "approach", "column approach2 is missing", 1, "found", "pose"),
         ("time_s", "q3_rad", "a column q3_rad, the robot has 2 joints", 1, "own columns", "pose"),
@@ -193,7 +193,7 @@ fn every_mistake_is_named_with_its_line_and_what_was_expected() {
         ("1,-1\n", "1,2\n", "column approach2 is \"2\"", 2, "-1, 0 or 1", "2"),
         ("1,-1\n", "1\n", "the row has 14 of 15 columns, approach2 is missing", 2, "15 values", "7,front"),
         ("1,-1\n", "1,-1,5\n", "the row has 16 columns, the header 15", 2, "15 values", "5"),
-        ("7,front", "P7,front", "column pose is \"P7\"", 2, "holds names, no pose column", "P7"),
+        ("7,front", "P7,front", "column pose is \"P7\"", 2, "holds names, do not use it as the pose", "P7"),
         ("1,-1\n", "1,left\n", "column approach2 is \"left\"", 2, "-1, 0 or 1", "left"),
         ("2e-6", "-2e-6", "column sigma_az_rad is \"-2e-6\"", 2, "deviation above zero", "-2e-6"),
         ("2e-6", "NaN", "column sigma_az_rad is \"NaN\"", 2, "finite", "NaN"),
@@ -235,7 +235,7 @@ fn a_map_that_does_not_fit_the_robot_is_refused() {
     };
     let both = map(position);
     assert!(
-        refusal(&both, &[JointKind::Revolute; 3]).contains("names 2 joint columns, the robot has 3 joints")
+        refusal(&both, &[JointKind::Revolute; 3]).contains("names 2 joint columns, but the robot has 3 joints")
     );
     let no_units = format!("schema = \"calibrig.columns/1\"\n[joints]\ncolumns = [\"s\", \"t\"]\n{position}");
     let no_units = parse_column_map(&Source::new("columns.toml", no_units)).expect("valid");

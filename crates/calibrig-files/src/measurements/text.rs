@@ -10,22 +10,22 @@ use super::layout::{Decimal, Wanted};
 use super::rows::{Row, Rows};
 use crate::input::{Excerpt, InputError, latin};
 
-/// What is said of a text's form; what is not is found from its first lines.
+/// The form of a text; unknown parts are found from its first lines.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct TextFormat {
     pub delimiter: Option<Delimiter>,
-    /// Begins of lines that are comments, beside `#` and `//`.
+    /// Starts of comment lines, in addition to `#` and `//`.
     pub comments: Vec<String>,
-    /// Lines at the start that are passed over, whatever they hold.
+    /// Lines at the start that are skipped, whatever they hold.
     pub skipped_lines: u64,
 }
 
-/// Lines that are looked at before the first row is given.
+/// Lines that are read before the first row is given.
 const SAMPLE: usize = 300;
 const SAMPLE_BYTES: usize = 1 << 18;
-/// A line that is longer is none: the file holds no rows.
+/// A longer line means that the file holds no rows.
 const LONGEST_LINE: u64 = 1 << 20;
-/// A quoted cell with more line breaks is a quote that somebody forgot to close.
+/// A quoted cell with more line breaks has a quote that was not closed.
 const MOST_LINES_OF_A_ROW: usize = 100;
 /// Comments that are kept.
 const MOST_COMMENTS: usize = 50;
@@ -49,7 +49,7 @@ impl TextRows {
     pub fn open(path: &Path, format: &TextFormat, wanted: &Wanted) -> Result<Self, InputError> {
         let unreadable = |reason: String| InputError::Unreadable { path: path.to_path_buf(), reason };
         if path.is_dir() {
-            return Err(unreadable("it is a folder, a file was expected".to_owned()));
+            return Err(unreadable("it is a folder; expected a file".to_owned()));
         }
         let file = File::open(path).map_err(|error| unreadable(error.to_string()))?;
         let name = path.display().to_string();
@@ -153,8 +153,8 @@ impl TextRows {
         rows
     }
 
-    /// The delimiter under which most of what is wanted is found; of equals the one under which most
-    /// rows have as many cells as the header, and of these the first in the list that makes most cells.
+    /// The delimiter under which most wanted columns are found; among equals the one under which most rows have as many
+    /// cells as the header, and among these the first in the list that makes most cells.
     fn sniff(&self, wanted: &Wanted) -> Delimiter {
         if *wanted == Wanted::default() {
             return self.sniff_anything();
@@ -402,7 +402,7 @@ impl Lines {
             place: format!("{name}:{}", self.number),
             message: reason.to_owned(),
             help: Some(
-                "expected a text with a line for every measurement; UTF-16 that does not say so at its begin is saved as UTF-8 first"
+                "expected a text file with one line per measurement; save UTF-16 without a byte order mark as UTF-8 first"
                     .to_owned(),
             ),
         }
@@ -419,7 +419,7 @@ impl Lines {
             }
         }
         if line.contains('\0') {
-            return Err(refused("a byte of 0, which no text has"));
+            return Err(refused("a zero byte, which text cannot contain"));
         }
         Ok(true)
     }
@@ -583,7 +583,7 @@ mod tests {
         let found = refused(&format!("a,b\n1,2\n3,\"4\n{}", "5,6\n".repeat(1000)));
         assert!(found.starts_with("m.csv:3") && found.contains("the quote is not closed"), "{found}");
         let found = refused("a,b\n1,\"2\n3,\"4\"\n");
-        assert!(found.starts_with("m.csv:2") && found.contains("text behind a closing quote"), "{found}");
+        assert!(found.starts_with("m.csv:2") && found.contains("text after a closing quote"), "{found}");
         assert!(refused("a,b\n1,\"2").starts_with("m.csv:2"));
     }
 

@@ -1,4 +1,4 @@
-//! Times of rows: in one column, or a date in one and the time of the day in another.
+//! Times of rows: in one column, or a date in one and the time of day in another.
 
 mod stamp;
 #[cfg(test)]
@@ -18,7 +18,7 @@ const EXPECTED: &str = "seconds, a time such as 12:03:44.12 or 1:03:44 PM, or a 
 /// s
 const DAY: f64 = 86_400.0;
 
-/// In which order the dates of a table are written, and from what that is told.
+/// The order of dates in a table, and what shows it.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct Dates {
     pub order: Option<DateOrder>,
@@ -31,7 +31,7 @@ impl Dates {
         Self { order: Some(order), why: None }
     }
 
-    /// Looks through cells for a date of which only one order is possible; without one, AM and PM speak for the month first.
+    /// Looks through cells for a date that is possible in only one order; without one, AM and PM suggest the month first.
     pub fn seen<'r>(cells: impl Iterator<Item = (&'r Place, &'r str)>) -> Self {
         let mut american: Option<(&Place, &str)> = None;
         for (place, cell) in cells.filter(|(_, cell)| cell.len() >= 6 && cell.contains(['/', '-'])) {
@@ -50,7 +50,7 @@ impl Dates {
             };
             return Self {
                 order: Some(order),
-                why: Some(format!("dates are {words}, as {cell} ({place}) tells")),
+                why: Some(format!("dates are {words}, as {cell} ({place}) shows")),
             };
         }
         let Some((place, cell)) = american else { return Self::default() };
@@ -114,10 +114,10 @@ impl TimeColumns {
                     let (own, unit) = (own.key(), unit.key());
                     let key = stated.map_or("", |(_, key)| key);
                     let message = format!(
-                        "column {header} is in {own} by the header, and in {unit} by the column map ({key})"
+                        "column {header} is in {own} according to the header, but in {unit} according to the column map ({key})"
                     );
                     let expected = format!(
-                        "time_{own} in place of {key}; where the header is wrong, the column by its number: {key} = {}",
+                        "time_{own} in place of {key}; if the header is wrong, name the column by its number: {key} = {}",
                         index + 1
                     );
                     return Err(file.refuse(message, &expected));
@@ -147,7 +147,7 @@ pub(super) struct TimeReader {
     dates: Dates,
     kind: Option<Kind>,
     last: f64,
-    /// How many rows have an earlier time than the row before, and where the first of them is.
+    /// How many rows have an earlier time than the row before, and the first of them.
     backwards: Option<(u64, Place)>,
     used_order: bool,
 }
@@ -203,7 +203,7 @@ impl TimeReader {
                 (before, _) => {
                     let before = before.map_or("", Kind::words);
                     let what =
-                        format!(", {}, behind {before}: they make no time together", stamp.kind.words());
+                        format!(", {}, after {before}: together they are not a time", stamp.kind.words());
                     return Err(refuse(&what, "a date and a time of the day, or numbers of seconds"));
                 }
             });
@@ -219,7 +219,7 @@ impl TimeReader {
         match self.kind {
             Some(known) if known != kind => {
                 let message = format!(
-                    "the time is {:?}, {}, and in the rows before {}",
+                    "the time is {:?}, {}, but in the rows before {}",
                     cell(),
                     kind.words(),
                     known.words()
@@ -235,14 +235,14 @@ impl TimeReader {
         Ok(seconds)
     }
 
-    /// What is to be said of the times that were read.
+    /// Remarks on the times that were read.
     pub fn remarks(&self, file: &str) -> Vec<String> {
         let mut remarks = self.columns.remarks.clone();
         remarks.extend(self.dates.why.iter().filter(|_| self.used_order).map(|why| format!("{file}: {why}")));
         if let Some((count, place)) = &self.backwards {
             let rows = if *count == 1 { "1 row is".to_owned() } else { format!("{count} rows are") };
             let midnight = if self.kind == Some(Kind::Clock) {
-                "; times of the day without dates begin again at midnight"
+                "; times of day without dates start again at midnight"
             } else {
                 ""
             };
@@ -257,7 +257,7 @@ impl TimeReader {
 
 /// What a cell looks like, in whatever order its date may be.
 pub(super) enum Look {
-    /// No time, or a number.
+    /// Not a time, or a number.
     Nothing,
     Day,
     Clock,

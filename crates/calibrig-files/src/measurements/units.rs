@@ -165,19 +165,19 @@ impl TemperatureUnit {
     }
 }
 
-/// Temperatures that the air at a robot can have, °C.
+/// Range of the air temperature at a robot, °C.
 pub(super) const TEMPERATURES: [f64; 2] = [-60.0, 120.0];
 
-/// The unit in which a number would be a temperature that can be, where it is none in the stated one.
+/// The unit in which a number would be a possible temperature, if it is not in the stated one.
 pub(super) fn likelier_temperature(value: f64, stated: TemperatureUnit) -> Option<TemperatureUnit> {
     let others = [TemperatureUnit::C, TemperatureUnit::K, TemperatureUnit::F];
     others.into_iter().filter(|unit| *unit != stated).find(|unit| {
-        // Where people work.
+        // The range where people work.
         (-10.0..=60.0).contains(&unit.in_celsius(value))
     })
 }
 
-/// What is said of the air beside its temperature, in a unit of its key.
+/// The air, apart from its temperature, in a unit of its key.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum AirQuantity {
     Pressure(PressureUnit),
@@ -222,7 +222,7 @@ impl PressureUnit {
     }
 }
 
-/// Pressures of the air where people work, from the highest towns to the Dead Sea, hPa.
+/// Air pressures where people work, from the highest towns to the Dead Sea, hPa.
 const PRESSURES: [f64; 2] = [500.0, 1100.0];
 
 impl AirQuantity {
@@ -234,7 +234,7 @@ impl AirQuantity {
         }
     }
 
-    /// What is expected of a number that cannot be; `None` of one that can.
+    /// What is expected instead of an impossible number; `None` for a possible one.
     pub fn refused(self, value: f64) -> Option<String> {
         match self {
             Self::Pressure(unit) => {
@@ -247,10 +247,10 @@ impl AirQuantity {
                 }
                 let other = PressureUnit::ALL.into_iter().find(|other| can_be(*other));
                 let hint = other.map_or_else(String::new, |other| {
-                    format!(": as {} it can be one, then the key is pressure_{0}", other.key())
+                    format!(": as {} it is possible; then the key is pressure_{0}", other.key())
                 });
                 let [least, most] = PRESSURES;
-                Some(format!("a pressure of the air from {least} to {most} hPa{hint}"))
+                Some(format!("an air pressure from {least} to {most} hPa{hint}"))
             }
             Self::HumidityPercent if (0.0..=100.0).contains(&value) => None,
             Self::HumidityPercent => Some("a relative humidity from 0 to 100 %".to_owned()),
@@ -264,7 +264,7 @@ pub(super) enum HeaderUnit {
     Length(LengthUnit),
     Angle(AngleUnit),
     Time(TimeUnit),
-    /// °C and so on: known as units, and not converted.
+    /// °C and so on: recognised as units, but not converted.
     Other,
 }
 

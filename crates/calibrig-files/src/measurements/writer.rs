@@ -30,20 +30,20 @@ pub enum CsvError {
         /// Why.
         reason: String,
     },
-    /// A number that no file can hold.
+    /// A number that is not finite.
     #[error("pose {pose}: {column} is {value}")]
     #[diagnostic(help("expected a finite number"))]
     NotFinite {
         /// Pose.
         pose: u32,
-        /// The column that it would stand in.
+        /// Its column.
         column: String,
         /// The number.
         value: f64,
     },
-    /// A command or an approach that does not have one entry a joint.
+    /// A command or an approach without exactly one entry per joint.
     #[error("pose {pose}: {found} {what} for {expected} joints")]
-    #[diagnostic(help("expected one a joint, as the robot's file has them: {expected}"))]
+    #[diagnostic(help("expected one per joint, in the order of the robot's file: {expected}"))]
     JointCount {
         /// Pose.
         pose: u32,
@@ -64,8 +64,8 @@ pub enum CsvError {
         value: i8,
     },
     /// Readings of several kinds in one set.
-    #[error("pose {pose}: a set holds either spherical or Cartesian readings, or full poses")]
-    #[diagnostic(help("expected readings of one kind; write those of each kind as a file of their own"))]
+    #[error("pose {pose}: a set must hold only spherical readings, only Cartesian readings, or only full poses")]
+    #[diagnostic(help("expected readings of one kind; write those of each kind to a separate file"))]
     MixedReadings {
         /// First pose that differs from the poses before it.
         pose: u32,
@@ -79,7 +79,7 @@ pub enum CsvError {
         /// What it is.
         error: RotationError,
     },
-    /// A temperature that no air around a robot has.
+    /// An impossible air temperature.
     #[error("pose {pose}: the temperature is {value} °C")]
     #[diagnostic(help("expected a temperature from {} to {} °C", TEMPERATURES[0], TEMPERATURES[1]))]
     Temperature {
@@ -88,7 +88,7 @@ pub enum CsvError {
         /// °C
         value: f64,
     },
-    /// A load at the flange that cannot be.
+    /// An invalid load at the flange.
     #[error("pose {pose}: {source}")]
     #[diagnostic(help("expected a mass of zero or more, and finite numbers"))]
     Payload {
@@ -107,9 +107,9 @@ pub enum CsvError {
         /// Index, from zero.
         index: usize,
     },
-    /// A name that could not be told from another, or not be read back.
+    /// A name that is not distinct, or would not be read back.
     #[error("{what} name {name:?} cannot be written")]
-    #[diagnostic(help("expected distinct names without line breaks or blanks at their ends"))]
+    #[diagnostic(help("expected distinct names without line breaks and without blanks at their ends"))]
     Name {
         /// `station`, `target` or `payload`.
         what: &'static str,
@@ -121,7 +121,7 @@ pub enum CsvError {
 /// Writes a measurement file in calibrig's own columns (see [`ColumnMap`](super::ColumnMap)); every number reads back to the same bits.
 ///
 /// Nests and target offsets are not part of the format (see [`session_text`](crate::session_text)). The uncertainty is written as standard
-/// deviations where these give the covariances exactly, else as covariances.
+/// deviations if these give the covariances exactly, else as covariances.
 pub fn write_measurements(path: &Path, set: &MeasurementSet, joints: &[JointKind]) -> Result<(), CsvError> {
     let text = measurements_text(set, joints)?;
     std::fs::write(path, text)
@@ -289,7 +289,7 @@ impl Writer<'_> {
         header
     }
 
-    /// Whether any pose tells how far actuators have moved since they reversed.
+    /// Whether any pose states how far actuators have moved since they reversed.
     fn has_ways(&self) -> bool {
         self.set.observations.iter().any(|observation| !observation.since_reversal.is_empty())
     }
@@ -371,7 +371,7 @@ impl Writer<'_> {
             if !ways.is_empty() && ways.len() != expected {
                 return Err(CsvError::JointCount {
                     pose,
-                    what: "ways since a reversal",
+                    what: "distances since a reversal",
                     found: ways.len(),
                     expected,
                 });

@@ -53,14 +53,14 @@ impl Reader<'_> {
             let names = [&table.shoulder, &table.elbow].into_iter().flatten().map(Spanned::span);
             let linkage = table.linkage.as_ref().map(Spanned::span);
             return match names.chain(table.offset_deg.as_ref().map(Spanned::span)).chain(linkage).next() {
-                Some(span) => self.error(span, "kind = \"direct\" has no loop", "kind = \"parallelogram\""),
+                Some(span) => self.error(span, "kind = \"direct\" has no linkage", "kind = \"parallelogram\""),
                 None => Ok(ActuatorMap::Direct),
             };
         }
         let shoulder = self.loop_joint("shoulder", table.shoulder.as_ref())?;
         let elbow = self.loop_joint("elbow", table.elbow.as_ref())?;
         if let Some(name) = table.elbow.as_ref().filter(|_| shoulder == elbow) {
-            return self.error(name.span(), "elbow and shoulder are one joint", "two joints");
+            return self.error(name.span(), "elbow and shoulder are the same joint", "two different joints");
         }
         let Some(offset) = &table.offset_deg else {
             return self.error(self.file.actuators.span(), "[actuators] has no offset_deg", "offset_deg");
@@ -68,7 +68,7 @@ impl Reader<'_> {
         let linkage = table.linkage.as_ref().map(|linkage| self.four_bar(linkage)).transpose()?;
         if let Some(table) = table.linkage.as_ref().filter(|_| elbow != shoulder + 1) {
             let message = "[actuators.linkage] spans more than shoulder and elbow";
-            return self.error(table.span(), message, "an elbow that is the joint behind the shoulder");
+            return self.error(table.span(), message, "an elbow that is the joint right after the shoulder");
         }
         let offset = self.degrees("offset_deg", offset)?;
         let actuators = ActuatorMap::Parallelogram { shoulder, elbow, offset, linkage };
@@ -83,11 +83,11 @@ impl Reader<'_> {
             (Some(both), None, None) => (("angle_deg", both), ("angle_deg", both)),
             (None, Some(crank), Some(lever)) => (("crank_angle_deg", crank), ("lever_angle_deg", lever)),
             _ => {
-                let message = "[actuators.linkage] has no angle of crank and lever, or two";
+                let message = "[actuators.linkage] does not state the angle of crank and lever, or states it twice";
                 return self.error(
                     table.span(),
                     message,
-                    "angle_deg, or crank_angle_deg and lever_angle_deg",
+                    "either angle_deg, or crank_angle_deg and lever_angle_deg",
                 );
             }
         };
@@ -127,14 +127,14 @@ impl Reader<'_> {
         let Some(fault) = linkage_fault(kinematics, actuators) else { return Ok(()) };
         let span = self.file.actuators.get_ref().linkage.as_ref().map_or(0..0, Spanned::span);
         let expected = format!(
-            "crank_mm, lever_mm, rod_mm, angles and axis with which it closes between min_deg and max_deg of the elbow, rod and lever at \
-             least {:.0} deg off one line",
+            "crank_mm, lever_mm, rod_mm, angles and axis with which it closes between min_deg and max_deg of the elbow, rod \
+             and lever at least {:.0} deg from one line",
             LEAST_TRANSMISSION_ANGLE.to_degrees()
         );
         self.error(span, format!("actuators.linkage: {fault}"), &expected)
     }
 
-    /// Masses and stiffness of the four-bar; `None` where there is no four-bar.
+    /// Masses and stiffness of the four-bar; `None` if there is no four-bar.
     pub(super) fn linkage_statics(
         &self,
         actuators: &ActuatorMap,
@@ -165,7 +165,7 @@ impl Reader<'_> {
         }))
     }
 
-    /// Where the file speaks of what only statics need of the four-bar.
+    /// Where the file states values of the four-bar that only statics need.
     pub(super) fn linkage_statics_key(&self) -> Option<std::ops::Range<usize>> {
         let file = self.file.actuators.get_ref().linkage.as_ref()?.get_ref();
         let keys =
@@ -182,7 +182,7 @@ impl Reader<'_> {
         let joints = || self.file.joint.iter().map(Spanned::get_ref);
         let Some(index) = joints().position(|joint| joint.name.get_ref() == name.get_ref()) else {
             let names: Vec<_> = joints().map(|joint| joint.name.get_ref().as_str()).collect();
-            let message = format!("{key}: no joint {:?}", name.get_ref());
+            let message = format!("{key}: no joint is named {:?}", name.get_ref());
             return self.error(name.span(), message, &format!("one of {}", names.join(", ")));
         };
         if self.file.joint[index].get_ref().r#type == JointType::Prismatic {
@@ -193,7 +193,7 @@ impl Reader<'_> {
     }
 }
 
-/// A crank with its centre of mass at `centre` along its arm. Its inertia, which counts for nothing at rest, is that of a square bar of the
+/// A crank with its centre of mass at `centre` along its arm. Its inertia, which has no effect at rest, is that of a square bar of the
 /// arm's length and a fifth of it wide.
 fn crank_body(mass: f64, arm: &LinkageArm, centre: f64) -> Body {
     let (sin, cos) = arm.angle.sin_cos();

@@ -23,7 +23,7 @@ pub(super) struct ShownTable {
     coupling: BTreeMap<String, Spanned<f64>>,
 }
 
-/// A joint that goes with another one: `q = ratio · q of that + offset`.
+/// A joint that follows another one: `q = ratio · q of that + offset`.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct FollowsTable {
@@ -42,7 +42,7 @@ fn unit(joint: &JointTable) -> f64 {
 }
 
 impl Reader<'_> {
-    /// The map of a robot whose actuators without regard to how they are shown are `mechanism`.
+    /// The map of a robot whose actuators, regardless of how they are shown, are `mechanism`.
     pub(super) fn axes(&self, mechanism: ActuatorMap) -> Result<ActuatorMap, InputError> {
         let joints: Vec<&JointTable> = self.file.joint.iter().map(Spanned::get_ref).collect();
         if joints.iter().all(|joint| joint.shown.is_none() && joint.follows.is_none()) {
@@ -58,7 +58,7 @@ impl Reader<'_> {
                     return self.error(
                         follows.span(),
                         message,
-                        "one of them: what follows another joint is not commanded",
+                        "only one of them: a joint that follows another has no command",
                     );
                 }
                 (Some(shown), None) => {
@@ -89,13 +89,13 @@ impl Reader<'_> {
                 let coupled = joint.shown.as_ref().filter(|table| !table.get_ref().coupling.is_empty());
                 coupled.map(Spanned::span)
             });
-            let expected = "expected couplings from which every joint variable follows".to_owned();
+            let expected = "expected couplings that determine every joint variable".to_owned();
             self.source.error(place.unwrap_or(0..0), error, Some(expected))
         })?;
         Ok(ActuatorMap::Axes { axes: axes.with_followers(&followers), elbow: mechanism.elbow() })
     }
 
-    /// Fills the row of an axis that is shown otherwise.
+    /// Fills the row of an axis that is shown differently.
     fn shown(
         &self,
         joints: &[&JointTable],
@@ -108,7 +108,7 @@ impl Reader<'_> {
         if let Some(sign) = &table.sign {
             if ![1.0, -1.0].contains(sign.get_ref()) {
                 let message = format!("shown.sign of joint {:?} is {}", joint.name.get_ref(), sign.get_ref());
-                return self.error(sign.span(), message, "1 or -1; ratio is for other factors");
+                return self.error(sign.span(), message, "1 or -1; use ratio for other factors");
             }
             factor = *sign.get_ref();
         }
@@ -142,8 +142,8 @@ impl Reader<'_> {
             at = self.joint_named(joints, "follows.joint", next.get_ref(), next.span())?;
         }
         let message =
-            format!("joint {:?} follows joints that follow each other", joints[axis].name.get_ref());
-        self.error(name.span(), message, "a joint that is commanded at the end")
+            format!("joint {:?} is in a circle of joints that follow each other", joints[axis].name.get_ref());
+        self.error(name.span(), message, "a chain that ends at a commanded joint")
     }
 
     fn joint_named(
@@ -157,7 +157,7 @@ impl Reader<'_> {
             Some(index) => Ok(index),
             None => {
                 let names: Vec<_> = joints.iter().map(|joint| joint.name.get_ref().as_str()).collect();
-                self.error(span, format!("{key}: no joint {name:?}"), &format!("one of {}", names.join(", ")))
+                self.error(span, format!("{key}: no joint is named {name:?}"), &format!("one of {}", names.join(", ")))
             }
         }
     }
@@ -173,7 +173,7 @@ impl Reader<'_> {
             JointType::Prismatic => (("offset_mm", millimetres), degrees),
         };
         if let Some(other) = other {
-            let message = format!("an offset in the other unit, of joint {:?}", joint.name.get_ref());
+            let message = format!("an offset in the other unit, that of joint {:?}", joint.name.get_ref());
             return self.error(other.span(), message, own.0);
         }
         let (key, value) = own;

@@ -1,4 +1,4 @@
-//! `[joint.bearing]` and `[joint.beam]`: what yields beside the drives.
+//! `[joint.bearing]` and `[joint.beam]`: what deflects besides the drives.
 
 use serde::Deserialize;
 
@@ -62,7 +62,7 @@ struct SegmentTable {
 }
 
 impl SegmentTable {
-    /// What a section is stated by that is not made of a shape.
+    /// The keys of a section given by its stiffnesses.
     fn stiffnesses(&self) -> [(&'static str, &Option<Spanned<f64>>); 6] {
         [
             ("axial_n", &self.axial_n),
@@ -74,7 +74,7 @@ impl SegmentTable {
         ]
     }
 
-    /// What a section of a shape is stated by.
+    /// The keys of a section given by its shape.
     fn of_shape(&self) -> [(&'static str, &Option<Spanned<f64>>); 7] {
         [
             ("youngs_modulus_gpa", &self.youngs_modulus_gpa),
@@ -89,7 +89,7 @@ impl SegmentTable {
 }
 
 impl Reader<'_> {
-    /// One a joint, rigid where it has none.
+    /// One per joint, rigid without a table.
     pub(super) fn bearings(&self) -> Result<Vec<Bearing>, InputError> {
         let joints = self.file.joint.iter().map(Spanned::get_ref);
         joints
@@ -104,8 +104,8 @@ impl Reader<'_> {
         let name = joint.name.get_ref();
         let keys = file.stiffnesses();
         let (own_axis, drive) = match joint.r#type {
-            JointType::Prismatic => (2, "stiffness_n_per_m of the joint itself, its drive's"),
-            JointType::Revolute => (5, "stiffness_nm_per_rad of the joint itself, its drive's"),
+            JointType::Prismatic => (2, "stiffness_n_per_m of the joint itself, for its drive"),
+            JointType::Revolute => (5, "stiffness_nm_per_rad of the joint itself, for its drive"),
         };
         if let (key, Some(value)) = keys[own_axis] {
             let message = format!("{key} of the bearing is along or about the axis of joint {name:?}");
@@ -133,7 +133,7 @@ impl Reader<'_> {
         Ok(bearing)
     }
 
-    /// One a joint, where its link is flexible. `limits` are those of the joints' variables.
+    /// One per joint with a flexible link. `limits` are those of the joints' variables.
     pub(super) fn beams(&self, limits: &[[f64; 2]]) -> Result<Vec<Option<Beam>>, InputError> {
         let joints = self.file.joint.iter().map(Spanned::get_ref).zip(limits);
         joints
@@ -184,14 +184,14 @@ impl Reader<'_> {
             (None, Some(housed)) => {
                 if joint.r#type == JointType::Revolute || run == Run::AlongX {
                     let message =
-                        format!("housed_mm of joint {:?}, which is no telescope", joint.name.get_ref());
+                        format!("housed_mm of joint {:?}, which is not a telescope", joint.name.get_ref());
                     let expected = "length_mm, or a prismatic joint with run = \"ends_at_origin\"";
                     return self.error(housed.span(), message, expected);
                 }
                 let length = SegmentLength::Extension(self.millimetres("housed_mm", housed)?);
                 if length.at(limits[0]) <= 0.0 {
                     let message = format!(
-                        "housed_mm leaves nothing of the segment at min_mm of joint {:?}",
+                        "housed_mm leaves no length of the segment at min_mm of joint {:?}",
                         joint.name.get_ref()
                     );
                     return self.error(housed.span(), message, "housed_mm below min_mm");
@@ -199,10 +199,10 @@ impl Reader<'_> {
                 Ok(length)
             }
             (Some(length), Some(_)) => {
-                self.error(length.span(), "both length_mm and housed_mm", "one of the two")
+                self.error(length.span(), "both length_mm and housed_mm are given", "only one of the two")
             }
             (None, None) => {
-                self.error(table.span(), "a segment of no length", "length_mm, or housed_mm of a telescope")
+                self.error(table.span(), "a segment without a length", "length_mm, or housed_mm of a telescope")
             }
         }
     }
@@ -224,12 +224,12 @@ impl Reader<'_> {
             }),
             (Some(density), Some(_)) => self.error(
                 density.span(),
-                "both density_kg_per_m3 and mass_per_length_kg_per_m",
-                "one of the two",
+                "both density_kg_per_m3 and mass_per_length_kg_per_m are given",
+                "only one of the two",
             ),
             (None, None) => self.error(
                 table.span(),
-                "a segment of no weight",
+                "a segment without a weight",
                 "density_kg_per_m3 or mass_per_length_kg_per_m, which may be 0",
             ),
         }
@@ -239,11 +239,11 @@ impl Reader<'_> {
     fn stated_section(&self, table: &Spanned<SegmentTable>) -> Result<Section, InputError> {
         let segment = table.get_ref();
         if let Some((key, Some(value))) = segment.of_shape().into_iter().find(|(_, value)| value.is_some()) {
-            let message = format!("{key} beside stiffnesses of the section");
+            let message = format!("{key} is given together with stiffnesses of the section");
             return self.error(
                 value.span(),
                 message,
-                "the section by its stiffnesses, or by shape and material",
+                "the section either by its stiffnesses, or by shape and material",
             );
         }
         let mut stated = [0.0; 6];
@@ -262,7 +262,7 @@ impl Reader<'_> {
         })
     }
 
-    /// A key that a segment must have.
+    /// A required key of a segment.
     fn needed<'v>(
         &self,
         table: &Spanned<SegmentTable>,
@@ -316,13 +316,13 @@ impl Reader<'_> {
                 let expected = "tube_diameter_mm and wall_mm, or box_width_mm, box_height_mm and wall_mm";
                 return self.error(
                     table.span(),
-                    "a segment whose shape is not one tube or one box",
+                    "a segment whose shape is not exactly one tube or one box",
                     expected,
                 );
             }
         };
         if 2.0 * wall >= least {
-            let message = "wall_mm leaves nothing hollow";
+            let message = "wall_mm leaves no hollow";
             return self.error(wall_mm.span(), message, "less than half of the shape's smaller size");
         }
         Ok(shape)

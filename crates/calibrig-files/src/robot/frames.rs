@@ -37,11 +37,11 @@ pub(super) struct BodyTable {
     iyz_kg_m2: Option<Spanned<f64>>,
 }
 
-/// What a body without a stated inertia is taken for: a solid sphere of this density, kg/m³. Nothing at rest depends on it.
+/// A body without a stated inertia is taken as a solid sphere of this density, kg/m³. It has no effect at rest.
 const DENSITY: f64 = 2700.0;
 
 impl Reader<'_> {
-    /// The identity where the file has no such table.
+    /// The identity if the file has no such table.
     pub(super) fn frame(
         &self,
         name: &str,
@@ -68,7 +68,7 @@ impl Reader<'_> {
         Ok(Transform::from_parts(place.into(), turn))
     }
 
-    /// What the joint's `[joint.body]` says, in the link's frame; `None` where there is no such table.
+    /// The joint's `[joint.body]`, in the link's frame; `None` if there is no such table.
     pub(super) fn stated_body(&self, table: &Spanned<JointTable>) -> Result<Option<Body>, InputError> {
         let joint = table.get_ref();
         let Some(stated) = &joint.body else { return Ok(None) };
@@ -101,12 +101,12 @@ impl Reader<'_> {
                 return self.error(
                     stated.span(),
                     message,
-                    "that of a body, or none: nothing at rest needs it",
+                    "that of a real body, or no inertia: it has no effect at rest",
                 );
             }
             inertia
         } else if moments.iter().chain(&products).any(|value| value.is_some()) {
-            let message = format!("joint {name:?} has a part of an inertia");
+            let message = format!("joint {name:?} has only part of an inertia");
             return self.error(stated.span(), message, "ixx_kg_m2, iyy_kg_m2 and izz_kg_m2, or none of them");
         } else {
             sphere(mass)
@@ -134,11 +134,11 @@ pub(crate) fn sphere(mass: f64) -> Matrix3<f64> {
     Matrix3::identity() * (0.4 * mass * radius * radius)
 }
 
-/// Why no body has an inertia, kg m².
+/// Why an inertia is impossible, kg m².
 pub(crate) fn inertia_fault(inertia: &Matrix3<f64>) -> Option<String> {
     let scale = inertia.amax();
     if !scale.is_finite() {
-        return Some("is too large a number".to_owned());
+        return Some("is too large".to_owned());
     }
     // Scaled, because the eigenvalue iteration squares its numbers.
     let mut moments = (inertia / scale.max(f64::MIN_POSITIVE)).symmetric_eigenvalues() * scale;
@@ -150,6 +150,7 @@ pub(crate) fn inertia_fault(inertia: &Matrix3<f64>) -> Option<String> {
     }
     // A flat body is at the limit: rounding of the file's numbers must not refuse it.
     (low + middle < high * (1.0 - 1e-9)).then(|| {
-        format!("is that of no body: principal moments {low:.6e}, {middle:.6e}, {high:.6e} kg m², of which the two smaller sum to less than the largest")
+        format!("is not that of a real body: of the principal moments {low:.6e}, {middle:.6e}, {high:.6e} kg m², the two \
+                 smaller sum to less than the largest")
     })
 }

@@ -49,7 +49,7 @@ pub(super) struct JointTable {
 impl Reader<'_> {
     pub(super) fn kinematics(&self) -> Result<KinematicModel, InputError> {
         if self.file.joint.is_empty() {
-            return self.error(0..0, "there is no joint", "a table [[joint]] for every joint, from the base");
+            return self.error(0..0, "the robot has no joint", "one table [[joint]] per joint, starting at the base");
         }
         let mut links: Vec<CraigLink> = Vec::new();
         // A standard row's a and alpha stand in front of the next joint in Craig's table: Tx and Rx commute.
@@ -58,11 +58,11 @@ impl Reader<'_> {
             let mut link = self.link(table)?;
             if links.iter().any(|other| other.name == link.name) {
                 let span = table.get_ref().name.span();
-                return self.error(span, format!("a second joint {:?}", link.name), "a name of its own");
+                return self.error(span, format!("a second joint {:?}", link.name), "a different name for each joint");
             }
             if self.file.convention == Convention::Standard {
                 if let Some(beta) = &table.get_ref().beta_deg {
-                    let message = "beta_deg in a table of the standard convention";
+                    let message = "beta_deg in a table of the standard convention, which has none";
                     return self.error(beta.span(), message, "no beta_deg, or convention = \"craig\"");
                 }
                 let own = (link.a, link.alpha);
@@ -144,7 +144,7 @@ impl Reader<'_> {
         Ok(limits)
     }
 
-    /// N/m or N m/rad, one a joint; `None` where no joint has any.
+    /// N/m or N m/rad, one per joint; `None` if no joint has any.
     pub(super) fn drives(&self) -> Result<Option<Vec<f64>>, InputError> {
         let mut stiffness = Vec::new();
         let mut without = None;
@@ -156,7 +156,7 @@ impl Reader<'_> {
                 ("stiffness_nm_per_rad", &joint.stiffness_nm_per_rad),
             )?;
             match value {
-                // A drive that does not yield.
+                // A rigid drive.
                 Some(value) if *value.get_ref() == f64::INFINITY => stiffness.push(f64::INFINITY),
                 Some(value) => stiffness.push(self.source.positive(&key, value)?),
                 None => without = without.or(Some((table, key))),
@@ -165,14 +165,14 @@ impl Reader<'_> {
         match without {
             Some(_) if stiffness.is_empty() => Ok(None),
             Some((table, key)) => {
-                let message = format!("joint {:?} has no {key}, others have", table.get_ref().name.get_ref());
+                let message = format!("joint {:?} has no {key}, but others have", table.get_ref().name.get_ref());
                 self.error(table.span(), message, "a stiffness of every drive, or of none")
             }
             None => Ok(Some(stiffness)),
         }
     }
 
-    /// Per metre or per radian, one a joint, where known.
+    /// Per metre or per radian, one per joint, if known.
     pub(super) fn motor_turns(&self) -> Result<Vec<Option<f64>>, InputError> {
         let turns = |table: &Spanned<JointTable>| {
             let joint = table.get_ref();

@@ -21,7 +21,8 @@ pub struct LoadTable {
     force_z_n: Option<Spanned<f64>>,
 }
 
-/// The loads of `tables`, behind those of `known`, whose names they may not have; `joints` are the names of the joints.
+/// The loads of `tables`, after those of `known`, whose names they must not repeat; `joints` are the names of the
+/// joints.
 pub fn read_loads(
     source: &Source,
     tables: &[Spanned<LoadTable>],
@@ -33,7 +34,7 @@ pub fn read_loads(
         let load = table.get_ref().read(source, table.span(), joints)?;
         if loads.iter().any(|other| other.name == load.name) {
             let message = format!("a second load {:?}", load.name);
-            let help = Some("expected a name of its own".to_owned());
+            let help = Some("expected a different name for each load".to_owned());
             return Err(source.error(table.get_ref().name.span(), message, help));
         }
         loads.push(load);
@@ -50,11 +51,11 @@ impl LoadTable {
     ) -> Result<PointLoad, InputError> {
         let name = self.name.get_ref();
         if name.trim().is_empty() {
-            let help = Some("expected a name for people".to_owned());
+            let help = Some("expected a name that is not empty".to_owned());
             return Err(source.error(self.name.span(), "name is empty", help));
         }
         let Some(link) = joints.iter().position(|joint| joint == self.joint.get_ref()) else {
-            let message = format!("load {name:?}: no joint {:?}", self.joint.get_ref());
+            let message = format!("load {name:?}: no joint is named {:?}", self.joint.get_ref());
             let help = Some(format!("expected one of {}", joints.join(", ")));
             return Err(source.error(self.joint.span(), message, help));
         };

@@ -49,19 +49,19 @@ pub struct Robot {
     pub name: String,
     /// What identification may know.
     pub model: CalibrationModel,
-    /// Shapes to draw, per link (link 0 of the vector is the base, then one an entry per joint); empty without a URDF.
+    /// Shapes to draw, per link (entry 0 is the base, then one per joint); empty without a URDF.
     pub visuals: Vec<Vec<Visual>>,
-    /// Where targets are on the flange; empty where that is not known.
+    /// The targets' places on the flange; empty if unknown.
     pub targets: Vec<StatedTarget>,
-    /// How well the compliances are known: standard deviation relative to the stated ones, where the file says.
+    /// Uncertainty of the compliances: standard deviation relative to the stated ones, if the file states it.
     pub compliance_sigma: Option<f64>,
-    /// Whether the file says that its stiffnesses are not known at all.
+    /// Whether the file states that its stiffnesses are unknown.
     pub stiffness_unknown: bool,
-    /// How well the bodies' masses and centres are known, one entry a joint; none where the file does not say.
+    /// Uncertainty of the bodies' masses and centres, one entry per joint; none if the file does not state it.
     pub bodies: Vec<BodyUncertainty>,
-    /// What was made of the table, in words.
+    /// Remarks on the table, in words.
     pub remarks: Vec<String>,
-    /// The files read, by role: `robot`, then `urdf` and `columns` where it names them.
+    /// The files read, by role: `robot`, then `urdf` and `columns` if it names them.
     pub sources: Vec<(String, Source)>,
 }
 
@@ -88,7 +88,7 @@ struct RobotFile {
     centre_mm: Option<Spanned<f64>>,
 }
 
-/// Whose D-H table it is.
+/// Convention of the D-H table.
 #[derive(Deserialize, Clone, Copy, PartialEq)]
 #[serde(rename_all = "snake_case")]
 enum Convention {
@@ -99,13 +99,13 @@ enum Convention {
 }
 
 impl Robot {
-    /// Offset of the target in the flange frame, m, of the first one where several are stated; `None` where it is not known.
+    /// Offset of the target in the flange frame, m, of the first one if several are stated; `None` if unknown.
     pub fn target(&self) -> Option<Vector3<f64>> {
         self.targets.first().map(|target| target.in_flange)
     }
 }
 
-/// Reads `robot.toml` and the files it names, which it seeks beside itself.
+/// Reads `robot.toml` and the files it names, relative to its own folder.
 pub fn load_robot(path: &Path) -> Result<Robot, InputError> {
     let robot = Source::read(path)?;
     let file: RobotFile = robot.toml()?;
@@ -116,7 +116,7 @@ pub fn load_robot(path: &Path) -> Result<Robot, InputError> {
             robot.error(
                 name.span(),
                 format!("{key}: {error}"),
-                Some("expected the name of a file, relative to this one".to_owned()),
+                Some("expected the name of a file, relative to this file".to_owned()),
             )
         })
     };
@@ -184,7 +184,7 @@ impl Reader<'_> {
         Err(self.source.error(span, message, Some(format!("expected {expected}"))))
     }
 
-    /// Each number may be one, and what follows from all of them none: a section whose stiffness is too small for a number.
+    /// Each number may be valid but not what follows from all of them: a section's stiffness may underflow.
     fn check_whole(&self, model: &CalibrationModel) -> Result<(), InputError> {
         let Err(fault) = model.check() else { return Ok(()) };
         let joint = match fault {
@@ -194,10 +194,10 @@ impl Reader<'_> {
             _ => None,
         };
         let span = joint.and_then(|joint| self.file.joint.get(joint)).map_or(0..0, Spanned::span);
-        self.error(span, fault, "numbers that are a robot's together")
+        self.error(span, fault, "numbers that together describe a robot")
     }
 
-    /// Rewrites rows whose common normals lie far away, and says so; not where other things are stated in the frames of such rows.
+    /// Rewrites rows whose common normals are far away, with a remark; not if other values are stated in the frames of such rows.
     fn near_normals(&self, kinematics: &mut KinematicModel, in_frames: bool) -> Vec<String> {
         let mut near = kinematics.clone();
         let runs = rewrite_far_normals(&mut near);
@@ -206,16 +206,19 @@ impl Reader<'_> {
             let names = links.iter().map(|link| link.name.as_str()).collect::<Vec<_>>().join(", ");
             let far = links.iter().map(|link| link.d.abs()).fold(0.0, f64::max);
             let what = format!(
-                "{}: the axes of {names} are nearly parallel, and their rows go out {far:.0} m to the common normals",
+                "{}: the axes of {names} are nearly parallel, so their rows reach {far:.0} m out to the common normals",
                 self.source.name
             );
             if in_frames {
                 format!(
-                    "{what}: these parameters are poorly determined. State the rows with beta_deg and a small d_mm (convention = \"craig\"); they are not rewritten, because masses, loads or a URDF refer to their frames"
+                    "{what}: these parameters are poorly determined. State the rows with beta_deg and a small d_mm \
+                     (convention = \"craig\"); they are not rewritten here, because masses, loads or a URDF refer to their \
+                     frames"
                 )
             } else {
                 format!(
-                    "{what}: they are rewritten with beta and a small d, for the same motions; parameters are of the rewritten rows"
+                    "{what}: they are rewritten with beta and a small d, for the same motions; the parameters are those of \
+                     the rewritten rows"
                 )
             }
         };
@@ -236,7 +239,7 @@ impl Reader<'_> {
             );
         }
         if self.file.name.get_ref().trim().is_empty() {
-            return self.error(self.file.name.span(), "name is empty", "a name for people");
+            return self.error(self.file.name.span(), "name is empty", "a name that is not empty");
         }
         Ok(())
     }
@@ -249,7 +252,7 @@ impl Reader<'_> {
     ) -> Result<(), InputError> {
         match (name, text) {
             (Some(name), None) => {
-                let message = format!("{key} {:?} was not given", name.get_ref());
+                let message = format!("the file {:?} of {key} was not given", name.get_ref());
                 self.error(name.span(), message, "the text of the file that it names")
             }
             (None, Some(text)) => {

@@ -1,8 +1,8 @@
-//! Tables of nearly parallel axes whose common normal lies far away.
+//! Tables of nearly parallel axes whose common normal is far away.
 //!
-//! Where neighbouring axes enclose a small angle, their common normal is anywhere: the D-H rows of a calibrated robot then go out some
-//! hundred metres along one axis and back along the next, and no error of the making is small in them. Hayati's beta describes the same axes
-//! by where the second one meets a plane across the first (S. Hayati, "Robot arm geometric link parameter estimation", 1983).
+//! If neighbouring axes enclose a small angle, their common normal can be anywhere: the D-H rows of a calibrated robot may then go some
+//! hundred metres out along one axis and back along the next, and no manufacturing error is small in them. Hayati's beta describes the same
+//! axes by the point where the second one meets a plane across the first (S. Hayati, "Robot arm geometric link parameter estimation", 1983).
 
 use std::f64::consts::FRAC_PI_2;
 use std::ops::Range;
@@ -16,7 +16,8 @@ use calibrig_model::{CraigLink, JointKind, KinematicModel};
 const NEARLY_PARALLEL: f64 = 0.05;
 
 /// Rewrites every run of nearly parallel revolute axes in which an offset d is longer than the whole robot with its runs rewritten. The
-/// chain is the same to rounding, and so are all frames but those of a run's links before its last. Tells which links were rewritten.
+/// chain is the same to rounding, and so are all frames except those of a run's links before its last. Returns which links were
+/// rewritten.
 pub(super) fn rewrite_far_normals(chain: &mut KinematicModel) -> Vec<Range<usize>> {
     let runs = runs(&chain.links);
     let mut near = chain.clone();
@@ -50,8 +51,8 @@ fn runs(links: &[CraigLink]) -> Vec<Range<usize>> {
     runs
 }
 
-/// Lays the origin of every link but the last where its axis meets the plane across the axis before at that one's origin; the first stays
-/// without an offset.
+/// Places the origin of every link but the last where its axis meets the plane across the axis before at that one's origin; the first
+/// stays without an offset.
 fn rewrite(links: &mut [CraigLink], run: &Range<usize>) {
     for row in run.start + 1..run.end {
         let [before, link] = &mut links[row - 1..=row] else { return };
@@ -76,7 +77,7 @@ fn rewrite(links: &mut [CraigLink], run: &Range<usize>) {
     }
 }
 
-/// The angle about z of the line from the origin to a point, within a quarter turn; `otherwise` where the point is the origin.
+/// The angle about z of the line from the origin to a point, within a quarter turn; `otherwise` if the point is the origin.
 fn plane_angle(point: &Vector3<f64>, otherwise: f64) -> f64 {
     if point.xy().norm() < 1e-9 {
         return otherwise;

@@ -29,7 +29,7 @@ pub(super) enum Shape {
     },
 }
 
-/// What a shape resists with.
+/// Section properties.
 struct Areas {
     /// m²
     area: f64,
@@ -48,7 +48,7 @@ impl Material {
 }
 
 impl Shape {
-    /// The beam's section; `mass_per_length` is left to be filled in where `density` (kg/m³) is not given.
+    /// The beam's section; `mass_per_length` must be filled in if `density` (kg/m³) is not given.
     pub fn section(self, material: Material, density: f64) -> Section {
         let areas = self.areas(material.poisson());
         let (e, g) = (material.youngs_modulus, material.shear_modulus);

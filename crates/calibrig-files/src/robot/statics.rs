@@ -18,7 +18,7 @@ pub(super) struct GravityTable {
     z_m_per_s2: Spanned<f64>,
 }
 
-/// `compliance_percent`: a number, or the word for no knowledge at all.
+/// `compliance_percent`: a number, or the word for unknown.
 #[derive(Deserialize)]
 #[serde(untagged)]
 pub(super) enum CompliancePercent {
@@ -26,7 +26,7 @@ pub(super) enum CompliancePercent {
     Word(String),
 }
 
-/// The word for a stiffness of which nothing is known.
+/// The word for an unknown stiffness.
 const UNKNOWN: &str = "unknown";
 
 impl Reader<'_> {
@@ -40,7 +40,7 @@ impl Reader<'_> {
         )))
     }
 
-    /// How well the stiffnesses are known, relative; and whether they are said to be unknown.
+    /// Relative uncertainty of the stiffnesses; and whether they are stated as unknown.
     pub(super) fn compliance_sigma(&self) -> Result<(Option<f64>, bool), InputError> {
         let Some(stated) = &self.file.compliance_percent else { return Ok((None, false)) };
         match stated.get_ref() {
@@ -57,7 +57,7 @@ impl Reader<'_> {
         }
     }
 
-    /// How well every body's mass and centre are known: as its joint's table says, else as the file says for all; none where neither does.
+    /// Uncertainty of every body's mass and centre: from its joint's table, else from the file's common values; none if neither states it.
     pub(super) fn body_uncertainties(&self) -> Result<Vec<BodyUncertainty>, InputError> {
         let mut stated = Vec::new();
         let mut bodies = Vec::new();
@@ -78,14 +78,14 @@ impl Reader<'_> {
             None => Ok(Vec::new()),
             Some(span) if self.file.urdf.is_none() && !self.states_bodies() => self.error(
                 span.clone(),
-                "there is a mass_percent or centre_mm, but no masses",
+                "there is a mass_percent or centre_mm, but there are no masses",
                 "[joint.body] of every joint, or urdf = \"robot.urdf\" with the inertials",
             ),
             Some(_) => Ok(bodies),
         }
     }
 
-    /// Deflections need stiffness, gravity and masses together: some of them without the others are a mistake.
+    /// Deflections need stiffness, gravity and masses together: only some of them are a mistake.
     pub(super) fn statics(
         &self,
         kinematics: &KinematicModel,
@@ -93,7 +93,7 @@ impl Reader<'_> {
         urdf: Option<&UrdfRobot>,
     ) -> Result<Option<StaticProperties>, InputError> {
         let gravity = self.gravity()?;
-        // Read in any case, so that a mistake in them is told.
+        // Always read, so that a mistake in them is reported.
         let drives = self.drives()?;
         let bearings = self.bearings()?;
         let limits: Vec<_> = kinematics.links.iter().map(|link| link.limits).collect();
@@ -133,7 +133,7 @@ impl Reader<'_> {
         Ok(Some(StaticProperties { bodies, drive_stiffness, bearings, beams, linkage, loads, gravity }))
     }
 
-    /// Bearings, beams, loads and masses of the four-bar mean nothing without drives and gravity.
+    /// Bearings, beams, loads and masses of the four-bar are meaningless without drives and gravity.
     fn refuse_statics_alone(&self) -> Result<(), InputError> {
         let of_joint = self.file.joint.iter().map(Spanned::get_ref).find_map(|joint| {
             let bearing = joint.bearing.as_ref().map(|table| (table.span(), "[joint.bearing]"));
@@ -167,7 +167,7 @@ impl Reader<'_> {
                 Some(body) => Ok(body.clone()),
                 None => {
                     let message =
-                        format!("the URDF has no <inertial> of what joint {:?} carries", joint.name);
+                        format!("the URDF has no <inertial> for what joint {:?} carries", joint.name);
                     self.error(
                         table.get_ref().name.span(),
                         message,
@@ -183,21 +183,21 @@ impl Reader<'_> {
         self.file.joint.iter().any(|table| table.get_ref().body.is_some())
     }
 
-    /// The bodies of `[joint.body]`; those of a URDF are not stated a second time.
+    /// The bodies of `[joint.body]`; those of a URDF must not be stated again.
     fn stated_bodies(&self, urdf: Option<&UrdfRobot>) -> Result<Vec<Body>, InputError> {
         let in_urdf = urdf.is_some_and(|urdf| urdf.joints.iter().any(|joint| joint.body.is_some()));
-        // All first, so that a mistake in one is told before that others have none.
+        // All first, so that a mistake in one is reported before the absence of others.
         let bodies: Vec<Option<Body>> =
             self.file.joint.iter().map(|table| self.stated_body(table)).collect::<Result<_, _>>()?;
         let stated = |(table, body): (&Spanned<JointTable>, Option<Body>)| match body {
             Some(body) if !in_urdf => Ok(body),
             Some(_) => {
                 let span = table.get_ref().body.as_ref().map_or(0..0, Spanned::span);
-                self.error(span, "masses stand here and in the URDF", "one of them")
+                self.error(span, "masses are given here and in the URDF", "only one of them")
             }
             None => {
                 let message =
-                    format!("joint {:?} has no [joint.body], others have", table.get_ref().name.get_ref());
+                    format!("joint {:?} has no [joint.body], but others have", table.get_ref().name.get_ref());
                 self.error(table.span(), message, "mass and centre of what every joint carries, or of none")
             }
         };
@@ -216,7 +216,7 @@ impl Reader<'_> {
             let mass = beam.mass(limits[1]);
             if mass >= body.mass {
                 let message = format!(
-                    "the beam of joint {:?} has {mass:.3} kg, the whole link {} kg in the URDF",
+                    "the beam of joint {:?} weighs {mass:.3} kg, more than the {} kg of its whole link in the URDF",
                     table.get_ref().name.get_ref(),
                     body.mass
                 );

@@ -1,4 +1,4 @@
-//! `[target]`, or `[[target]]` for each of several: where the reflector is on the flange, and how well that is known.
+//! `[target]`, or `[[target]]` for each of several: the reflector's place on the flange, and its uncertainty.
 
 use std::fmt;
 use std::ops::Range;
@@ -15,13 +15,13 @@ use calibrig_model::measurement::TargetOrientation;
 /// A target as the robot's file states it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StatedTarget {
-    /// As the measurement files have it; `None` for one alone that needs none.
+    /// As in the measurement files; `None` for a single one without a name.
     pub name: Option<String>,
     /// Offset in the flange frame, m.
     pub in_flange: Vector3<f64>,
     /// Standard deviation of it along every axis, m; `None` for a nominal value of unknown uncertainty.
     pub sigma: Option<f64>,
-    /// How it is turned on the flange, of a target whose readings are full poses.
+    /// Its orientation on the flange, if its readings are full poses.
     pub orientation: Option<TargetOrientation>,
     /// Where the file states it, for messages.
     pub place: Range<usize>,
@@ -67,7 +67,7 @@ impl TargetTable {
     }
 }
 
-/// One table or several. No untagged enum: that would lose where a mistake is.
+/// One table or several. Not an untagged enum, which would lose the place of a mistake.
 #[derive(Default)]
 pub(super) struct TargetTables(Vec<Spanned<TargetTable>>);
 
@@ -95,7 +95,7 @@ impl<'de> Deserialize<'de> for TargetTables {
     }
 }
 
-/// The targets of `tables`, whose names are distinct; all have one where there are several.
+/// The targets of `tables`, with distinct names; each has one if there are several.
 pub(super) fn read_targets(source: &Source, tables: &TargetTables) -> Result<Vec<StatedTarget>, InputError> {
     let mut targets: Vec<StatedTarget> = Vec::new();
     for table in &tables.0 {
@@ -106,7 +106,7 @@ pub(super) fn read_targets(source: &Source, tables: &TargetTables) -> Result<Vec
         let name = target.name.as_ref().map(|name| name.get_ref().trim());
         match (&target.name, name) {
             (None, _) if tables.0.len() > 1 => {
-                let message = format!("{} targets are stated, and this one has no name", tables.0.len());
+                let message = format!("{} targets are stated, but this one has no name", tables.0.len());
                 return Err(refused(
                     span,
                     message,
@@ -121,7 +121,7 @@ pub(super) fn read_targets(source: &Source, tables: &TargetTables) -> Result<Vec
                 ));
             }
             (Some(key), Some(name)) if targets.iter().any(|known| known.name.as_deref() == Some(name)) => {
-                return Err(refused(key.span(), format!("a second target {name:?}"), "a name of its own"));
+                return Err(refused(key.span(), format!("a second target {name:?}"), "a different name for each target"));
             }
             _ => {}
         }
@@ -132,16 +132,17 @@ pub(super) fn read_targets(source: &Source, tables: &TargetTables) -> Result<Vec
         if is_exact.is_some_and(|covariance| Cholesky::new(covariance).is_none()) {
             let message =
                 "the uncertainty of the target's rotation is not above zero in every direction".to_owned();
-            let expected = "rotation_sigma_rad or rotation_covariance_rad2 of a measured rotation, or neither where it is not known";
+            let expected = "rotation_sigma_rad or rotation_covariance_rad2 of a measured rotation, or neither if it is not \
+                            known";
             return Err(refused(span, message, expected));
         }
         let sigma = target.sigma_mm.as_ref().map(|sigma| {
             if *sigma.get_ref() == 0.0 {
-                let message = "target.sigma_mm is 0, and nothing is measured exactly".to_owned();
+                let message = "target.sigma_mm is 0, but no measurement is exact".to_owned();
                 return Err(refused(
                     sigma.span(),
                     message,
-                    "the standard deviation along every axis, or no sigma_mm where it is not known",
+                    "the standard deviation along every axis, or no sigma_mm if it is not known",
                 ));
             }
             Ok(source.positive("target.sigma_mm", sigma)? / 1e3)

@@ -118,7 +118,7 @@ fn every_mistake_is_named_with_its_line_and_what_was_expected() {
             "every",
         ),
         ("\"direct\"", "\"belt\"", "actuators.kind is \"belt\"", 25, "`direct`"),
-        ("\"direct\"", "\"direct\"\noffset_deg = 0", "no loop", 26, "parallelogram"),
+        ("\"direct\"", "\"direct\"\noffset_deg = 0", "no linkage", 26, "parallelogram"),
         ("\"direct\"", "\"parallelogram\"", "no shoulder", 24, "revolute"),
         ("\"direct\"", "\"parallelogram\"\nshoulder = \"hip\"", "no joint \"hip\"", 26, "slide, swing"),
         ("\"direct\"", "\"parallelogram\"\nshoulder = \"slide\"", "\"slide\" is prismatic", 26, "revolute"),
@@ -154,7 +154,7 @@ fn every_mistake_is_named_with_its_line_and_what_was_expected() {
     }
     let (found, ..) =
         refusal(&TWO_JOINTS[TWO_JOINTS.find("[[joint]]").unwrap()..TWO_JOINTS.find("[act").unwrap()], "");
-    assert!(found.contains("there is no joint"), "{found}");
+    assert!(found.contains("the robot has no joint"), "{found}");
 }
 
 #[test]
@@ -320,16 +320,16 @@ fn every_mistake_in_what_yields_is_named() {
         ("at_mm = 1250", "at_mm = nan", "at_mm is nan", "finite"),
         ("run = \"along_x\"", "run = \"along_y\"", "joint.beam.run is \"along_y\"", "`along_x`"),
         ("length_mm = 1350", "length_mm = 0", "length_mm is 0", "above zero"),
-        ("length_mm = 1350", "housed_mm = 1", "joint \"shoulder\", which is no telescope", "length_mm"),
-        ("length_mm = 1350", "", "a segment of no length", "housed_mm"),
+        ("length_mm = 1350", "housed_mm = 1", "joint \"shoulder\", which is not a telescope", "length_mm"),
+        ("length_mm = 1350", "", "a segment without a length", "housed_mm"),
         ("length_mm = 1350", "length_mm = 1\nhoused_mm = 1", "both length_mm and housed_mm", "one"),
-        ("housed_mm = 1250", "housed_mm = 1700", "leaves nothing of the segment at min_mm", "below min_mm"),
-        ("wall_mm = 8", "wall_mm = 90", "leaves nothing hollow", "half"),
-        ("box_height_mm = 240\n", "", "not one tube or one box", "tube_diameter_mm"),
+        ("housed_mm = 1250", "housed_mm = 1700", "leaves no length of the segment at min_mm", "below min_mm"),
+        ("wall_mm = 8", "wall_mm = 90", "leaves no hollow", "half"),
+        ("box_height_mm = 240\n", "", "not exactly one tube or one box", "tube_diameter_mm"),
         (
             "tube_diameter_mm = 180\n",
             "tube_diameter_mm = 1\nbox_width_mm = 1\n",
-            "not one tube or one box",
+            "not exactly one tube or one box",
             "box",
         ),
         (
@@ -339,7 +339,7 @@ fn every_mistake_in_what_yields_is_named() {
             "unit",
         ),
         ("shear_modulus_gpa = 81", "shear_modulus_gpa = 120", "Poisson's ratio of -0.12", "half"),
-        ("density_kg_per_m3 = 7850", "", "a segment of no weight", "mass_per_length_kg_per_m"),
+        ("density_kg_per_m3 = 7850", "", "a segment without a weight", "mass_per_length_kg_per_m"),
         (
             "density_kg_per_m3 = 7850",
             "density_kg_per_m3 = 1\nmass_per_length_kg_per_m = 1",
@@ -350,7 +350,7 @@ fn every_mistake_in_what_yields_is_named() {
         (
             "density_kg_per_m3 = 7850",
             "density_kg_per_m3 = 20000",
-            "beam of joint \"shoulder\" has 270.000 kg, the whole link 250 kg",
+            "beam of joint \"shoulder\" weighs 270.000 kg, more than the 250 kg of its whole link",
             "lighter",
         ),
         (
@@ -364,7 +364,7 @@ fn every_mistake_in_what_yields_is_named() {
         ("rod_mm = 1350", "rod_mm = -1", "rod_mm is -1", "above zero"),
         ("rod_mm = 1350", "rod_mm = 1800", "does not close with the elbow at -45.0 deg", "rod_mm"),
         ("\nangle_deg = 90", "\nangle_deg = 20", "of one line with the elbow at -20.", "at least 10 deg"),
-        ("\nangle_deg = 90", "", "no angle of crank and lever", "lever_angle_deg"),
+        ("\nangle_deg = 90", "", "does not state the angle of crank and lever", "lever_angle_deg"),
         ("\nangle_deg = 90", "\nangle_deg = 90\nlever_angle_deg = 90", "or two", "angle_deg, or"),
         ("along_mm = 250", "along_mm = inf", "along_mm is inf", "finite"),
         ("rod_stiffness_n_per_m = 8", "rod_stiffness_n_per_m = 0", "rod_stiffness_n_per_m is 0", "above"),
@@ -373,7 +373,7 @@ fn every_mistake_in_what_yields_is_named() {
             "elbow = \"elbow\"",
             "elbow = \"roll\"",
             "spans more than shoulder and elbow",
-            "behind the shoulder",
+            "right after the shoulder",
         ),
         ("[gravity]", &load("joint = \"wrist\""), "load \"hose\" has neither mass nor force", "mass_kg"),
         ("[gravity]", &load("joint = \"hand\"\nmass_kg = 1"), "no joint \"hand\"", "wrist"),
@@ -465,7 +465,7 @@ fn a_target_that_cannot_be_is_refused_at_its_line() {
     for (text, message, line, help) in [
         (format!("[target]\n{at}\nsigma_mm = -0.02"), "target.sigma_mm is -0.02", 28, "above zero"),
         (format!("[target]\n{at}\nsigma_mm = nan"), "target.sigma_mm is nan", 28, "finite"),
-        (format!("[target]\n{at}\nsigma_mm = 0"), "nothing is measured exactly", 28, "no sigma_mm"),
+        (format!("[target]\n{at}\nsigma_mm = 0"), "but no measurement is exact", 28, "no sigma_mm"),
         (format!("[target]\n{at}\nsigma_kg = 20"), "unknown key `sigma_kg`", 28, "`sigma_mm`"),
         (format!("[target]\n{at}\nsigma = 0.02"), "unknown key `sigma`", 28, "unit is part of the key"),
         (format!("[target]\n{at}\nsigma_mm = \"0.02\""), "target.sigma_mm is \"0.02\"", 28, "a number"),
@@ -492,7 +492,7 @@ fn a_target_that_cannot_be_is_refused_at_its_line() {
         ),
         (
             format!("[[target]]\nname = \"A\"\n{at}\n[[target]]\n{at}"),
-            "2 targets are stated, and this one has no name",
+            "2 targets are stated, but this one has no name",
             29,
             "target column",
         ),
@@ -645,7 +645,7 @@ fn masses_may_stand_in_the_robots_file() {
     let one =
         with(MASSES[1], GRAVITY).replacen("max_mm = 500\n", "max_mm = 500\nstiffness_n_per_m = 1e6\n", 1);
     let error = parse(&one).unwrap_err().to_string();
-    assert!(error.contains("joint \"slide\" has no [joint.body], others have"), "{error}");
+    assert!(error.contains("joint \"slide\" has no [joint.body], but others have"), "{error}");
 }
 
 #[test]
@@ -653,16 +653,16 @@ fn axes_and_bodies_that_cannot_be_are_refused() {
     for (joint, message) in [
         ("[joint.shown]\nsign = 2", "shown.sign of joint \"swing\" is 2"),
         ("[joint.shown]\nratio = 0", "shown.ratio is 0"),
-        ("[joint.shown]\noffset_mm = 3", "an offset in the other unit, of joint \"swing\""),
+        ("[joint.shown]\noffset_mm = 3", "an offset in the other unit, that of joint \"swing\""),
         ("[joint.shown]\ncoupling = { slid = 1 }", "shown.coupling: no joint \"slid\""),
         ("[joint.shown]\ncoupling = { swing = 1 }", "couples joint \"swing\" with itself"),
-        ("[joint.follows]\njoint = \"swing\"", "joint \"swing\" follows joints that follow each other"),
+        ("[joint.follows]\njoint = \"swing\"", "joint \"swing\" is in a circle of joints that follow each other"),
         ("[joint.follows]\njoint = \"lift\"", "follows.joint: no joint \"lift\""),
         ("[joint.follows]\njoint = \"slide\"\n[joint.shown]\nsign = -1", "has both shown and follows"),
         ("[joint.body]\nmass_kg = 0\nx_mm = 0\ny_mm = 0\nz_mm = 0", "body.mass_kg is 0"),
         (
             "[joint.body]\nmass_kg = 1\nx_mm = 0\ny_mm = 0\nz_mm = 0\nixx_kg_m2 = 1",
-            "joint \"swing\" has a part of an inertia",
+            "joint \"swing\" has only part of an inertia",
         ),
         (
             "[joint.body]\nmass_kg = 1\nx_mm = 0\ny_mm = 0\nz_mm = 0\nixx_kg_m2 = 1\niyy_kg_m2 = 1\nizz_kg_m2 = 3",
@@ -679,5 +679,5 @@ fn axes_and_bodies_that_cannot_be_are_refused() {
         1,
     );
     let error = parse(&circle).unwrap_err().to_string();
-    assert!(error.contains("the coupling of the axes cannot be turned round"), "{error}");
+    assert!(error.contains("the coupling of the axes cannot be inverted: the"), "{error}");
 }

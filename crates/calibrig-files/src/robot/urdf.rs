@@ -1,4 +1,4 @@
-//! What a URDF says of a robot: inertias and shapes, and once more its kinematics, which must agree with the table.
+//! The robot as described in a URDF: inertias, shapes, and the kinematics again, which must agree with the table.
 
 use std::ops::Range;
 
@@ -31,14 +31,14 @@ pub(super) struct UrdfJoint {
     /// From the previous moving link, at joint variable zero.
     pub previous_from_joint: Transform,
     pub limits: [f64; 2],
-    /// `None` where the link has no inertial.
+    /// `None` if the link has no inertial.
     pub body: Option<Body>,
     pub visuals: Vec<Visual>,
     span: Range<usize>,
 }
 
-/// How fast every actuator may be by the URDF that a robot's file names, m/s or rad/s; `None` where that does not say it: no URDF, a velocity of zero, or
-/// an actuator that moves more than its own joint.
+/// Speed limit of every actuator in the URDF that a robot's file names, m/s or rad/s; `None` if unknown: no URDF, a velocity of zero, or an actuator
+/// that moves more than its own joint.
 pub fn actuator_speeds(robot: &super::Robot) -> Vec<Option<f64>> {
     let model = &robot.model;
     let urdf = robot.sources.iter().find(|(role, _)| role == "urdf");
@@ -105,7 +105,7 @@ impl UrdfRobot {
             let found = &joint.previous_from_joint;
             let apart = (expected.translation.vector - found.translation.vector).norm();
             let turned = (expected.rotation.matrix() - found.rotation.matrix()).norm() / f64::sqrt(2.0);
-            // Asked this way round, NaN differs too.
+            // Written this way round, NaN also differs.
             let agrees = apart <= TOLERANCE && turned <= TOLERANCE;
             if !agrees {
                 let (roll, pitch, yaw) = expected.rotation.euler_angles();
@@ -179,34 +179,34 @@ impl Reader<'_> {
         self.robot.links.iter().position(|link| link.name == name)
     }
 
-    /// The only link that no joint carries.
+    /// The only link that is not a joint's child.
     fn root(&self) -> Result<usize, InputError> {
         let mut carried = vec![false; self.robot.links.len()];
         for (index, link) in self.robot.links.iter().enumerate() {
             if self.link_index(&link.name) != Some(index) {
                 let message = format!("a second link named {}", link.name);
-                return Err(self.error(self.span("link", index), message, "one link of a name"));
+                return Err(self.error(self.span("link", index), message, "a different name for each link"));
             }
         }
         for (index, joint) in self.robot.joints.iter().enumerate() {
             for end in [&joint.parent, &joint.child] {
                 if self.link_index(&end.link).is_none() {
-                    let message = format!("joint {} names a link {} that is not there", joint.name, end.link);
+                    let message = format!("joint {} names a link {} that does not exist", joint.name, end.link);
                     return Err(self.error(self.span("joint", index), message, "the name of a link"));
                 }
             }
             if let Some(child) = self.link_index(&joint.child.link)
                 && std::mem::replace(&mut carried[child], true)
             {
-                let message = format!("joint {} carries a link that another joint carries", joint.name);
-                return Err(self.error(self.span("joint", index), message, "one joint a link"));
+                let message = format!("joint {} has a child link that is already the child of another joint", joint.name);
+                return Err(self.error(self.span("joint", index), message, "one parent joint per link"));
             }
         }
         let mut roots = (0..carried.len()).filter(|index| !carried[*index]);
         match (roots.next(), roots.next()) {
             (Some(root), None) => Ok(root),
             (_, Some(second)) => {
-                let message = format!("link {} hangs on no joint", self.robot.links[second].name);
+                let message = format!("link {} is not connected to any joint", self.robot.links[second].name);
                 Err(self.error(self.span("link", second), message, "one root link"))
             }
             (None, None) => Err(self.error(self.elements[0].span.clone(), "there is no root link", "one")),
@@ -235,7 +235,7 @@ impl Reader<'_> {
             joints.push(joint);
         }
         if seen < self.robot.links.len() {
-            let message = "some links are joined in a loop and do not hang on the root";
+            let message = "some links form a loop that is not connected to the root";
             return Err(self.error(self.elements[0].span.clone(), message, "an open chain"));
         }
         Ok(UrdfRobot { base_visuals, joints, robot_span: self.elements[0].span.clone() })
@@ -263,7 +263,7 @@ impl Reader<'_> {
         Ok((robot, self.robot.links[start].name.clone()))
     }
 
-    /// The links that are fixed to `start`, and the one moving joint that hangs on them.
+    /// The links that are fixed to `start`, and the one moving joint attached to them.
     fn fixed_group(&self, start: usize) -> Result<(Group, Option<(usize, Transform)>), InputError> {
         let mut group = vec![(start, Transform::identity())];
         let mut moving = None;
@@ -332,7 +332,7 @@ impl Reader<'_> {
         match &body {
             Some(all) if !(all.mass.is_finite() && all.inertia.amax().is_finite()) => {
                 let message = "the inertials of links fixed to each other sum to infinity";
-                Err(self.error(self.span("link", group[0].0), message, "SI units"))
+                Err(self.error(self.span("link", group[0].0), message, "values in SI units"))
             }
             _ => Ok(body),
         }
@@ -349,7 +349,7 @@ impl Reader<'_> {
             && body.centre_of_mass.amax().is_finite())
         {
             let message = format!("the inertial of link {link} is too large a number");
-            return Err(self.error(self.elements[inertial].span.clone(), message, "SI units"));
+            return Err(self.error(self.elements[inertial].span.clone(), message, "values in SI units"));
         }
         match inertia_fault(&body.inertia) {
             None => Ok(()),
@@ -358,7 +358,7 @@ impl Reader<'_> {
                 Err(self.error(
                     span("inertia"),
                     message,
-                    "that of a body: moments above zero, none above the sum of the others",
+                    "that of a real body: moments above zero, none above the sum of the others",
                 ))
             }
         }
@@ -372,7 +372,7 @@ impl Reader<'_> {
                     Geometry::Box { size } => VisualShape::Box(*size),
                     Geometry::Cylinder { radius, length } => VisualShape::Cylinder { radius, length },
                     Geometry::Sphere { radius } => VisualShape::Sphere(radius),
-                    _ => return Err(self.shape_error(*index, "neither box, cylinder nor sphere")),
+                    _ => return Err(self.shape_error(*index, "neither a box, a cylinder nor a sphere")),
                 };
                 let sizes = match shape {
                     VisualShape::Box(edges) => edges.to_vec(),
@@ -380,7 +380,7 @@ impl Reader<'_> {
                     VisualShape::Sphere(radius) => vec![radius],
                 };
                 if sizes.iter().any(|size| *size <= 0.0) {
-                    return Err(self.shape_error(*index, "of no size"));
+                    return Err(self.shape_error(*index, "of size zero"));
                 }
                 visuals.push(Visual { link_from_shape: group_from_link * transform(&visual.origin), shape });
             }
@@ -413,7 +413,7 @@ fn body_of(inertial: &urdf_rs::Inertial, group_from_link: &Transform) -> Body {
     }
 }
 
-/// Bodies that move as one; `None` of none.
+/// Bodies that move as one; `None` for none.
 fn joined(bodies: &[Body]) -> Option<Body> {
     if bodies.is_empty() {
         return None;
@@ -580,12 +580,12 @@ mod tests {
                 14,
                 "revolute, prismatic or fixed",
             ),
-            ("<child link=\"arm\"/>", "<child link=\"leg\"/>", "a link leg that is not there", 14, "link"),
-            ("<child link=\"arm\"/>", "<child link=\"base\"/>", "joined in a loop", 1, "open chain"),
+            ("<child link=\"arm\"/>", "<child link=\"leg\"/>", "a link leg that does not exist", 14, "link"),
+            ("<child link=\"arm\"/>", "<child link=\"base\"/>", "form a loop", 1, "open chain"),
             (
                 "<link name=\"base\"/>",
                 "<link name=\"base\"/><link name=\"b\"/>",
-                "link b hangs on no joint",
+                "link b is not connected to any joint",
                 2,
                 "one root",
             ),
@@ -593,7 +593,7 @@ mod tests {
             ("</robot>", "", "<robot> is not closed", 1, "URDF"),
             ("</inertial>", "</visual>", "</visual> closes <inertial>", 8, "URDF"),
             ("</link>", "</link></link>", "</link> closes <robot>", 13, "URDF"),
-            ("<link name=\"base\"/>", "<link name=\"base\"/>&lt;", "text outside of any tag", 2, "URDF"),
+            ("<link name=\"base\"/>", "<link name=\"base\"/>&lt;", "text outside any tag", 2, "URDF"),
             ("<link name=\"base\"/>", "<!DOCTYPE a>", "only elements and comments", 2, "URDF"),
             ("<link name=\"base\"/>", "<!-- base", "comment is not closed", 2, "URDF"),
             ("<link name=\"base\"/>", "<link name=base/>", "not in quotes", 2, "URDF"),
@@ -647,8 +647,8 @@ mod tests {
         );
         for (joints, message) in [
             (joint("1", "base", "a") + &joint("2", "base", "b"), "branch"),
-            (joint("1", "a", "b") + &joint("2", "b", "a"), "in a loop"),
-            (joint("1", "base", "a") + &joint("2", "b", "a"), "another joint carries"),
+            (joint("1", "a", "b") + &joint("2", "b", "a"), "form a loop"),
+            (joint("1", "base", "a") + &joint("2", "b", "a"), "another joint"),
             (joint("1", "base", "a") + &joint("2", "a", "b") + &joint("3", "b", "base"), "no root"),
         ] {
             let error = robot(&joints).unwrap_err().to_string();
@@ -711,7 +711,7 @@ mod tests {
         assert!(error.contains("joint more is not in robot.toml"), "{error}");
         let massless = urdf.text.replacen("<inertial>", "<!--", 1).replacen("</inertial>", "-->", 1);
         let error = parse_robot(table, Some(Source::new("u", massless)), None).unwrap_err().to_string();
-        assert!(error.contains("no <inertial> of what joint \"rail\" carries"), "{error}");
+        assert!(error.contains("no <inertial> for what joint \"rail\" carries"), "{error}");
     }
 
     /// The joints of the URDF multiplied out against the D-H product.

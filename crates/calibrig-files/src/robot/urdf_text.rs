@@ -1,7 +1,7 @@
-//! A strict first look at the text of a URDF: which elements stand where, and whether each is one that is understood.
+//! A strict first pass over the text of a URDF: which elements are where, and whether each is supported.
 //!
-//! The URDF parser skips what it does not know, drops words from lists of numbers and gives no positions; this pass refuses
-//! the first two and supplies the third.
+//! The URDF parser skips unknown elements, drops words from lists of numbers and gives no positions; this pass refuses the
+//! first two and supplies the third.
 
 use std::ops::Range;
 
@@ -56,7 +56,7 @@ const RULES: &[Rule] = &[
             ("izz", Numbers(1)),
         ],
     ),
-    // Which joint follows another one says the robot's file.
+    // The robot's file states which joint follows another one.
     ("mimic", &["joint"], &[("joint", Text), ("multiplier", Numbers(1)), ("offset", Numbers(1))]),
     ("geometry", &["visual", "collision"], &[]),
     ("box", &["geometry"], &[("size", Numbers(3))]),
@@ -73,7 +73,7 @@ const RULES: &[Rule] = &[
     ("dynamics", &["joint"], &[("damping", Numbers(1)), ("friction", Numbers(1))]),
 ];
 
-/// Element, attributes that it must have, and elements that must stand in it.
+/// Element, its required attributes, and its required elements.
 const REQUIRED: &[(&str, &[&str], &[&str])] = &[
     ("robot", &["name"], &[]),
     ("link", &["name"], &[]),
@@ -94,10 +94,10 @@ const REQUIRED: &[(&str, &[&str], &[&str])] = &[
     ("limit", &["lower", "upper", "velocity"], &[]),
 ];
 
-/// Elements that may stand more than once in the same one.
+/// Elements that may occur more than once in the same one.
 const REPEATED: &[&str] = &["link", "joint", "material", "visual", "collision"];
 
-/// The elements in the order of their start tags; an error for anything that is not understood.
+/// The elements in the order of their start tags; an error for anything unsupported.
 pub(super) fn scan(source: &Source) -> Result<Vec<Element<'_>>, InputError> {
     let mut scanner = Scanner { source, at: 0, elements: Vec::new(), open: Vec::new() };
     while scanner.next_markup()? {}
@@ -128,14 +128,14 @@ impl<'a> Scanner<'a> {
         &self.source.text[self.at..]
     }
 
-    /// Goes behind the next comment, instruction or tag; false at the end of the text.
+    /// Goes past the next comment, instruction or tag; false at the end of the text.
     fn next_markup(&mut self) -> Result<bool, InputError> {
         let rest = self.rest();
         let text = rest.split('<').next().unwrap_or(rest);
         let stray = text.trim_matches(|c: char| c.is_whitespace() || c == '\u{feff}');
         if !stray.is_empty() {
             let start = self.at + text.find(stray).unwrap_or(0);
-            return Err(self.error(start..start + stray.len(), "text outside of any tag"));
+            return Err(self.error(start..start + stray.len(), "text outside any tag"));
         }
         self.at += text.len();
         let rest = self.rest();
@@ -145,9 +145,9 @@ impl<'a> Scanner<'a> {
         if rest.starts_with("<!--") {
             self.skip_behind("-->", "the comment is not closed")?;
         } else if rest.starts_with("<?") {
-            self.skip_behind("?>", "the instruction is not closed")?;
+            self.skip_behind("?>", "the processing instruction is not closed")?;
         } else if rest.starts_with("<!") {
-            return Err(self.error(self.at..self.at + 2, "only elements and comments are understood"));
+            return Err(self.error(self.at..self.at + 2, "only elements and comments are supported"));
         } else if rest.starts_with("</") {
             self.end_tag()?;
         } else {
@@ -176,7 +176,7 @@ impl<'a> Scanner<'a> {
                 let message = format!("</{name}> closes <{}>", self.elements[index].name);
                 Err(self.error(start..self.at, message))
             }
-            None => Err(self.error(start..self.at, format!("</{name}> closes nothing"))),
+            None => Err(self.error(start..self.at, format!("</{name}> closes no open element"))),
         }
     }
 
@@ -187,7 +187,7 @@ impl<'a> Scanner<'a> {
         let parent = self.open.last().copied();
         let parent_name = parent.map_or("", |index| self.elements[index].name);
         if parent.is_none() && !self.elements.is_empty() {
-            return Err(self.error(start..self.at, "a second element beside <robot>"));
+            return Err(self.error(start..self.at, "a second element next to <robot>"));
         }
         let rule = RULES.iter().find(|(rule, parents, _)| *rule == name && parents.contains(&parent_name));
         let Some((_, _, allowed)) = rule else {
@@ -214,7 +214,7 @@ impl<'a> Scanner<'a> {
         Ok(())
     }
 
-    /// What must be there is there, and once. The URDF parser would complain without a place.
+    /// Required items are there exactly once. The URDF parser would complain without a place.
     fn check_complete(&self) -> Result<(), InputError> {
         for (index, element) in self.elements.iter().enumerate() {
             let name = element.name;
@@ -226,7 +226,7 @@ impl<'a> Scanner<'a> {
                 && !REPEATED.contains(&name)
                 && self.elements[..index].iter().any(is_same)
             {
-                return refused(&element.span, format!("a second <{name}>"), "one of them".to_owned());
+                return refused(&element.span, format!("a second <{name}>"), "only one".to_owned());
             }
             let Some((_, attributes, children)) = REQUIRED.iter().find(|(required, ..)| *required == name)
             else {
@@ -298,7 +298,7 @@ impl<'a> Scanner<'a> {
         let span = value_start..value_start + length;
         if attributes.iter().any(|(known, _)| *known == name) {
             let message = format!("a second {name} of <{element}>");
-            return Err(self.source.error(start..self.at, message, Some("expected one of them".to_owned())));
+            return Err(self.source.error(start..self.at, message, Some("expected only one of them".to_owned())));
         }
         let Some((_, content)) = allowed.iter().find(|(allowed, _)| *allowed == name) else {
             let names: Vec<_> = allowed.iter().map(|(name, _)| *name).collect();
@@ -315,7 +315,7 @@ impl<'a> Scanner<'a> {
             Numbers(count) if !are_numbers(value, *count) => {
                 let expected = match count {
                     1 => "expected a finite number".to_owned(),
-                    _ => format!("expected {count} finite numbers with blanks between"),
+                    _ => format!("expected {count} finite numbers separated by blanks"),
                 };
                 Err(self.source.error(span, format!("{name} of <{element}> is {value:?}"), Some(expected)))
             }

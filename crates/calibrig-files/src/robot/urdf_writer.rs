@@ -15,7 +15,7 @@ use calibrig_model::{ActuatorMap, Body, CalibrationModel, CraigLink, JointKind, 
 const FLANGE: &str = "flange";
 const TARGET: &str = "target";
 
-/// The text of the URDF: rigid, every joint about or along the z axis of its row's frame, with links for the flange and the targets behind the
+/// The text of the URDF: rigid, every joint about or along the z axis of its row's frame, with links for the flange and the targets after the
 /// last joint.
 pub(super) fn text(robot: &RobotText<'_>) -> Result<String, InputError> {
     let (mut written, last) = match robot.urdf {
@@ -45,7 +45,7 @@ pub(super) fn text(robot: &RobotText<'_>) -> Result<String, InputError> {
     Ok(text)
 }
 
-/// `urdf-rs` writes an inertial of no mass for a link that has none; readers take it for one.
+/// `urdf-rs` writes an inertial without mass for a link that has none; readers take it as real.
 fn without_empty_inertials(text: &str) -> String {
     let Ok(document) = roxmltree::Document::parse(text) else { return text.to_owned() };
     let is_empty = |node: &roxmltree::Node<'_, '_>| {
@@ -128,7 +128,8 @@ fn follow(robot: &mut urdf_rs::Robot, model: &CalibrationModel) {
         else {
             continue;
         };
-        // What follows the elbow's motor of a parallelogram has two leaders, shoulder and elbow, and a <mimic> names one.
+        // What follows the elbow's motor of a parallelogram has two leaders, shoulder and elbow, but a <mimic> names only
+        // one.
         if model.actuators.elbow().is_some_and(|drive| drive.elbow == at) {
             continue;
         }
@@ -142,7 +143,7 @@ fn follow(robot: &mut urdf_rs::Robot, model: &CalibrationModel) {
     }
 }
 
-/// Adds a link that is fixed to another one; its name, which is another one where it is taken.
+/// Adds a link that is fixed to another one; returns its name, changed if it is taken.
 fn add_fixed(robot: &mut urdf_rs::Robot, parent: &str, name: &str, place: &Transform) -> String {
     let is_taken = |robot: &urdf_rs::Robot, name: &str| {
         robot.links.iter().any(|link| link.name == name)

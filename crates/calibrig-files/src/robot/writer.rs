@@ -23,18 +23,18 @@ pub struct RobotText<'a> {
     pub model: &'a CalibrationModel,
     /// What its flange carries.
     pub targets: &'a [TargetText<'a>],
-    /// Shapes to draw, as [`Robot::visuals`]; nothing where a URDF is given.
+    /// Shapes to draw, as [`Robot::visuals`]; ignored if a URDF is given.
     pub visuals: &'a [Vec<Visual>],
     /// The URDF that [`Robot`] was read with: its links, shapes, inertias and limits are kept, its joints' origins become those of the model.
     pub urdf: Option<&'a Source>,
-    /// What is told at the head of both files, a line each.
+    /// Remarks at the head of both files, one line each.
     pub remarks: &'a [String],
 }
 
 /// A target that is to be written.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TargetText<'a> {
-    /// Its name; may be empty where there is one alone.
+    /// Its name; may be empty if there is only one.
     pub name: &'a str,
     /// Offset in the flange's frame, m.
     pub in_flange: Vector3<f64>,
@@ -49,17 +49,17 @@ pub struct RobotFiles {
     pub robot: Source,
     /// `robot.urdf`, which it names.
     pub urdf: Source,
-    /// What is read from both.
+    /// The robot read from both.
     pub read: Robot,
 }
 
-/// Writes `robot.toml` and `robot.urdf`; what is read from them is the same robot to the rounding of its numbers.
+/// Writes `robot.toml` and `robot.urdf`; they read back to the same robot, to the rounding of its numbers.
 ///
-/// The smooth terms' [spans](CalibrationModel::spans) have no key, nor has how well a number is known: neither is written.
+/// The smooth terms' [spans](CalibrationModel::spans) have no key, nor do uncertainties: neither is written.
 ///
 /// # Errors
 ///
-/// [`InputError`], where no such file can hold the robot, such as one without limits: what a reader says of the text.
+/// [`InputError`] if such files cannot hold the robot, such as one without limits: the reader's error for the text.
 pub fn write_robot(robot: &RobotText<'_>) -> Result<RobotFiles, InputError> {
     let urdf = Source::new("robot.urdf", urdf_writer::text(robot)?);
     let text = Source::new("robot.toml", text(robot));
@@ -108,7 +108,7 @@ fn text(robot: &RobotText<'_>) -> String {
     text
 }
 
-/// The shortest decimal that `read` takes back to the value, beginning with the digits of `shown`.
+/// The shortest decimal that `read` converts back to the value, beginning with the digits of `shown`.
 fn number(value: f64, shown: f64, read: impl Fn(f64) -> f64) -> String {
     for digits in 0..=12 {
         let scale = 10_f64.powi(digits);
@@ -185,7 +185,7 @@ fn in_unit(value: f64, kind: JointKind) -> String {
     }
 }
 
-/// Stiffer than any number that a file takes, nothing yields that could be measured.
+/// Stiffer than any number that a file can hold: no measurable deflection.
 const STIFFEST: f64 = 1e15;
 
 fn rigid_or(stiffness: f64) -> String {
@@ -215,7 +215,7 @@ fn bearing(text: &mut String, bearing: Option<&Bearing>, kind: JointKind) {
 }
 
 fn beam(text: &mut String, beam: Option<&Beam>) {
-    // The weight of a beam is a part of its link's.
+    // The weight of a beam is part of its link's.
     let Some(beam) = beam.filter(|beam| beam.segments.iter().any(|s| !s.section.is_rigid())) else { return };
     let run = match beam.run {
         BeamRun::AlongX => "along_x",

@@ -1,11 +1,11 @@
-//! `[station.instrument]`: what is known of the errors that all readings of an instrument share.
+//! `[station.instrument]`: what is known about the errors that all readings of an instrument share.
 
 use serde::Deserialize;
 
 use crate::input::{InputError, Source, Spanned};
 use calibrig_model::measurement::{InstrumentTerm, StatedDrift, StatedInstrument};
 
-/// Standard deviations about zero. Another unit of the same quantity is taken as well: `collimation_urad`, `range_offset_um`.
+/// Standard deviations about zero. Other units of the same quantity are accepted: `collimation_urad`, `range_offset_um`.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct InstrumentTable {
@@ -78,7 +78,7 @@ impl InstrumentTable {
         }
     }
 
-    /// How the station moves on its stand; where one of the two is left out, it is zero.
+    /// The station's motion on its stand; if one of the two is missing, it is zero.
     fn drift(&self, source: &Source) -> Result<Option<StatedDrift>, InputError> {
         let (motion, turn) = (&self.drift_m_per_h, &self.drift_rad_per_h);
         if motion.is_none() && turn.is_none() {
@@ -104,8 +104,8 @@ impl InstrumentTable {
         }
         if let Some(value) = &self.range_scale_um_per_m {
             if self.range_scale_m_per_m.is_some() {
-                let message = "range_scale_um_per_m and range_scale_m_per_m are the same quantity";
-                return Err(source.error(value.span(), message, Some("expected one of them".to_owned())));
+                let message = "range_scale_um_per_m and range_scale_m_per_m state the same quantity";
+                return Err(source.error(value.span(), message, Some("expected only one of them".to_owned())));
             }
             let scale = sigma("range_scale_um_per_m", value)? * 1e-6;
             terms.push((value.span().start, InstrumentTerm::RangeScale, scale));
@@ -116,7 +116,7 @@ impl InstrumentTable {
     }
 }
 
-/// What two statements of one instrument differ by, in words.
+/// The difference between two statements of one instrument, in words.
 pub(super) fn difference(one: &StatedInstrument, other: &StatedInstrument) -> Option<String> {
     let of = |instrument: &StatedInstrument, term: InstrumentTerm| {
         instrument.sigmas.iter().find(|(known, _)| *known == term).map(|(_, sigma)| *sigma)
@@ -125,6 +125,6 @@ pub(super) fn difference(one: &StatedInstrument, other: &StatedInstrument) -> Op
         let (a, b) = (of(one, term), of(other, term));
         let said =
             |sigma: Option<f64>| sigma.map_or_else(|| "not stated".to_owned(), |sigma| format!("{sigma:e}"));
-        (a != b).then(|| format!("{} is {} here and {} there", key_of(term), said(a), said(b)))
+        (a != b).then(|| format!("{} is {} here but {} there", key_of(term), said(a), said(b)))
     })
 }

@@ -220,9 +220,9 @@ fn a_payload_is_that_of_every_pose_of_its_set() {
     assert_eq!(SetKind::ALL.map(force), [Some(200.0); 2]);
     // Stated twice: by the file of the measurements as well, or for one set.
     let twice = completed(plate, SetKind::Identification, Some(expected)).expect_err("twice").to_string();
-    assert!(twice.contains("session.toml:2: payload \"plate\" is carried by all poses"), "{twice}");
+    assert!(twice.contains("session.toml:2: payload \"plate\" is said to be carried by all poses"), "{twice}");
     let both = parse(&format!("{plate}{rope}")).expect_err("both").to_string();
-    assert!(both.contains("payloads \"plate\" and \"rope\" are both carried"), "{both}");
+    assert!(both.contains("payloads \"plate\" and \"rope\" are both said to be carried"), "{both}");
     let other = rope.replace("force_z_n", "set = \"verification\"\nforce_z_n");
     assert!(parse(&format!("{plate}{other}")).is_ok());
     for (text, expected) in [
@@ -263,10 +263,10 @@ fn refusals_name_line_and_key() {
             &format!("{nest}in_base_sigma_m = -1e-5\nposition_m = [1, 2, 3]"),
             "session.toml:7: in_base_sigma_m is -1e-5",
         ),
-        (&format!("{nest}in_base_sigma_m = 1e-5\nrange_m = 2"), "the reading is not whole"),
+        (&format!("{nest}in_base_sigma_m = 1e-5\nrange_m = 2"), "the reading is incomplete"),
         (
             &format!("{nest}in_base_sigma_m = 1e-5\nrange_m = 2\naz_rad = 0\nel_rad = 0\nsigma_az_rad = 1"),
-            "the uncertainty of its reading is not clear",
+            "the uncertainty of its reading is missing or given twice",
         ),
         ("[[target]]\nname = \"t\"\nin_flange_m = [1, 2, inf]", "session.toml:4: in_flange_m holds inf"),
         ("[[target]]\nname = \"t\"\nin_flange_m = [1, 2]", "session.toml:4:"),
@@ -275,14 +275,14 @@ fn refusals_name_line_and_key() {
             "session.toml:5: covariance_m2 has -1e0 on its diagonal",
         ),
         ("[[dropped]]\nset = \"verification\"\npose = -1\nreason = \"r\"", "session.toml:4:"),
-        (&format!("{seen}{again}"), "session.toml:10: nest \"n\" is there twice, and not at two times"),
+        (&format!("{seen}{again}"), "session.toml:10: nest \"n\" appears twice, but not at two different times"),
         (
             &format!("{seen}time_s = 1\n{again}time_s = 1\n"),
-            "session.toml:11: nest \"n\" is there twice, and not at two times",
+            "session.toml:11: nest \"n\" appears twice, but not at two different times",
         ),
         (
             &format!("{seen}time_s = 1\n{}time_s = 2\n", again.replace("3]\nin", "3.002]\nin")),
-            "session.toml:11: nest \"n\" is there twice, and its certified places are 2.0000 mm apart",
+            "session.toml:11: nest \"n\" appears twice, with certified places 2.0000 mm apart",
         ),
         (&format!("{seen}face = \"back\"\n"), "session.toml:9: face is of range and angles"),
         (
@@ -324,7 +324,7 @@ fn refusals_name_line_and_key() {
         ),
         (
             &format!("{target}rotation_sequence = \"zyx\"\n"),
-            "rotation_sequence is of angles, and there are none",
+            "rotation_sequence applies to angles, but there are none",
         ),
         (
             &format!("{target}rotation_sigma_mrad = 1\n"),
@@ -363,14 +363,14 @@ fn what_no_identification_can_use_is_refused_at_its_line() {
     for (text, expected) in [
         (
             format!("[[station]]\nname = \"s\"\n{}{}", nest("0, 0, 0", "1e-5"), nest("1, 0, 0", "1e-5")),
-            "session.toml:3: station \"s\": 2 base nests were measured, at least 3",
+            "session.toml:3: station \"s\": 2 base nests were measured: placing the tracker needs at least 3",
         ),
         (
             station(["0, 0, 0", "1, 0, 0", "2, 0, 0"], "1e-5"),
             "session.toml:3: station \"s\": the base nests lie on one line and do not determine the tracker's place: \
              n0, 0, 0, n1, 0, 0, n2, 0, 0 are on it to 0.000 mm",
         ),
-        (station(sound, "0"), "session.toml:4: station \"s\": nest n0, 0, 0: the covariance is missing"),
+        (station(sound, "0"), "session.toml:4: station \"s\": nest n0, 0, 0: its covariance is missing"),
         (target("sigma_m = 0"), "session.toml:3: target \"t\": its uncertainty is not above zero"),
         (
             target("covariance_m2 = [[1, 2, 0], [2, 1, 0], [0, 0, 1]]"),
@@ -419,7 +419,8 @@ fn instruments_nests_in_rounds_and_turned_targets_are_read_in_units_that_people_
     );
     let refused = parse(&two).expect_err("contradicts").to_string();
     assert!(
-        refused.contains("instrument \"AT1\" is stated otherwise at station \"s\": range_scale_m_per_m is not stated here and 3e-7 there"),
+        refused.contains("instrument \"AT1\" is stated differently at station \"s\": range_scale_m_per_m is not stated here \
+                          and 3e-7 there"),
         "{refused}"
     );
 }
@@ -445,6 +446,6 @@ fn a_nest_that_is_a_full_pose_is_not_written() {
     let refused = session_text(&[(SetKind::Identification, &set, &[])]).expect_err("a pose");
     assert_eq!(
         refused.to_string(),
-        "station \"s\": nest \"n\" was read as a full pose, and a nest is a point"
+        "station \"s\": nest \"n\" was read as a full pose, but a nest is a point"
     );
 }

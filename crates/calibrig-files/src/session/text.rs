@@ -18,7 +18,7 @@ use calibrig_model::measurement::{
 #[non_exhaustive]
 pub enum SessionTextError {
     /// A nest that was read as a full pose.
-    #[error("station {station:?}: nest {nest:?} was read as a full pose, and a nest is a point")]
+    #[error("station {station:?}: nest {nest:?} was read as a full pose, but a nest is a point")]
     #[diagnostic(help("expected a spherical or Cartesian reading of every nest"))]
     NestIsPose {
         /// Name of the station.
@@ -28,10 +28,10 @@ pub enum SessionTextError {
     },
 }
 
-/// The session file of these sets. What is the same in all of them is written once.
+/// The session file of these sets. What they have in common is written once.
 ///
 /// # Errors
-/// A nest that was read as a full pose, which no key holds.
+/// Errors for a nest that was read as a full pose, which no key holds.
 pub fn session_text(sets: &[SessionSet<'_>]) -> Result<String, SessionTextError> {
     let mut text = format!("schema = {SCHEMA:?}\n");
     let stations: Vec<_> =

@@ -120,7 +120,7 @@ fn targets_are_matched_by_name() {
     assert_eq!(known(&files[0])[0], ("A", 0.0, None));
     assert_has(
         &told.remarks[0],
-        &["robot.toml: the target has no name", "3 are measured: A, B, C", "nothing is taken"],
+        &["robot.toml: the target has no name", "3 are measured: A, B, C", "nothing is used"],
     );
 }
 
@@ -200,7 +200,7 @@ fn a_session_file_holds_in_place_of_the_robots() {
     assert_eq!(
         told.remarks,
         [
-            "targets are those of session.toml, not those of robot.toml",
+            "targets are taken from session.toml, not from robot.toml",
             "target B of session.toml: no reading names it, and it is left out"
         ]
     );
@@ -256,7 +256,7 @@ fn held_out_poses_are_those_of_the_same_target_whatever_their_order() {
         &[
             "verification.csv:2: ",
             "target \"C\" of the verification set is not in the identification set (A)",
-            "nothing is stated of it",
+            "nothing is stated about it",
         ],
     );
     let files = vec![

@@ -1,9 +1,9 @@
-//! What a laser tracker's own geometry does to its readings, to first order, and what is stated of it.
+//! First-order effects of a laser tracker's own geometry on its readings, and their stated sizes.
 //!
 //! The signatures are those of B. Muralikrishnan et al., "ASME B89.4.19 performance evaluation tests and geometric misalignments in laser
 //! trackers", J. Res. NIST 114 (2009) 21-35, and B. Hughes et al., "Laser tracker error determination using a network measurement", Meas.
-//! Sci. Technol. 22 (2011) 045103, for a tracker whose laser sits in the turning head. They are written here for azimuth and
-//! elevation, and for the front face; [`InstrumentTerm::displacement`] has the back face, too.
+//! Sci. Technol. 22 (2011) 045103, for a tracker whose laser sits in the turning head. Here they are written for azimuth and elevation in
+//! the front face; [`InstrumentTerm::displacement`] includes the back face.
 
 use std::fmt;
 
@@ -23,7 +23,7 @@ pub enum Face {
     Front,
     /// Head and telescope turned over.
     Back,
-    /// The mean of one reading in each: what turns over with the telescope is not in it.
+    /// The mean of one reading in each: errors that turn over with the telescope cancel in it.
     Both,
 }
 
@@ -47,7 +47,7 @@ impl Face {
     }
 }
 
-/// A systematic error of a tracker that is the same in all readings of the instrument. Each displaces what is read by its amplitude times
+/// A systematic error of a tracker that is the same in all readings of the instrument. Each displaces the reading by its amplitude times
 /// the signature below: R is the range, H the azimuth, E the elevation, s is 1 in the front face and -1 in the back face.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum InstrumentTerm {
@@ -106,7 +106,7 @@ impl InstrumentTerm {
         Self::ElevationCos2,
     ];
 
-    /// The name in files, and behind `tracker_` in parameters.
+    /// The name in files, and after `tracker_` in parameters.
     pub fn key(self) -> &'static str {
         match self {
             Self::RangeOffset => "range_offset",
@@ -162,8 +162,8 @@ impl InstrumentTerm {
         }
     }
 
-    /// What a unit of the amplitude displaces of a point's reading, as a length at the point, m: along the beam, along growing azimuth and
-    /// along growing elevation. As a length, since an angle's error grows without limit near the zenith while what it does there stays small.
+    /// Displacement of a point's reading per unit of the amplitude, as a length at the point, m: along the beam, along growing azimuth and
+    /// along growing elevation. A length, because an angle's error grows without limit near the zenith while its effect there stays small.
     pub fn displacement(self, range: f64, azimuth: f64, elevation: f64, face: Face) -> Vector3<f64> {
         let s = face.sign();
         let (sin_az, cos_az) = azimuth.sin_cos();
@@ -213,15 +213,15 @@ impl<'de> Deserialize<'de> for InstrumentTerm {
     }
 }
 
-/// What an operator knows of the instrument at a station beside the noise of single readings, such as from its data sheet. Stations whose
-/// instruments have one name share its errors.
+/// What an operator knows about the instrument at a station besides the noise of single readings, such as from its data sheet. Stations
+/// whose instruments have the same name share its errors.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct StatedInstrument {
     /// Name for people, such as a serial number.
     pub name: String,
-    /// Standard deviation about zero of each error that the instrument can have, m, rad or 1. Those that are not listed are taken for zero.
+    /// Standard deviation about zero of each error that the instrument can have, m, rad or 1. Errors that are not listed are taken as zero.
     pub sigmas: Vec<(InstrumentTerm, f64)>,
-    /// How far its stand lets it move while it measures, where that is not taken out by nests that are measured again. Every station moves by itself.
+    /// How far its stand may let it move while it measures, unless repeated nests remove that motion. Every station moves independently.
     pub drift: Option<StatedDrift>,
 }
 
@@ -250,7 +250,7 @@ impl StatedInstrument {
         self.sigmas.iter().copied().filter(|(_, sigma)| *sigma > 0.0)
     }
 
-    /// The instruments of stations, each once, and of every station the place of its own among them. Of stations that name the same one, the
+    /// The instruments of the stations, each once, and the index among them for every station. If stations name the same instrument, the
     /// first states its errors.
     pub fn of_stations(stations: &[Station]) -> (Vec<&Self>, Vec<Option<usize>>) {
         let mut known: Vec<&Self> = Vec::new();

@@ -1,4 +1,4 @@
-//! What a tracker session leaves behind. It is all that passes from simulation, recording or file to identification.
+//! The results of a tracker session: all that passes from simulation, recording or file to identification.
 
 mod drift;
 mod instrument;
@@ -54,11 +54,11 @@ pub struct MeasurementSet {
     pub stations: Vec<Station>,
     /// Targets on the flange.
     pub targets: Vec<Target>,
-    /// In the order taken.
+    /// In the order in which they were taken.
     pub observations: Vec<Observation>,
 }
 
-/// A set as it was measured, and what of it was not.
+/// A set with what was measured and what was not.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SetOutcome {
     /// Which.
@@ -74,13 +74,14 @@ pub struct SetOutcome {
 pub struct Station {
     /// Name for people.
     pub name: String,
-    /// Empty where the base was not measured: then nothing is known of the station beforehand.
+    /// Empty if the base was not measured: then nothing is known about the station beforehand.
     pub nests: Vec<NestObservation>,
-    /// What is known of the errors of its instrument; `None` where no error is taken to be shared by its readings.
+    /// What is known about its instrument's errors; `None` if its readings are taken to share none.
     pub instrument: Option<StatedInstrument>,
     /// Readings while single axes of the robot moved, which can place the station instead of nests. Their [`station`](Observation::station) is this one.
     pub sweeps: Vec<Observation>,
-    /// What readings share of what the correction of a drift leaves open ([`remove_drift`]): part of the covariance that each states.
+    /// The part of the drift correction's uncertainty that readings share ([`remove_drift`]); it is included in the covariance that
+    /// each states.
     pub motion: Option<OpenMotion>,
 }
 
@@ -95,7 +96,7 @@ pub struct NestObservation {
     pub in_base_covariance: Matrix3<f64>,
     /// Where the tracker saw it.
     pub reading: Reading,
-    /// When, since the session began, s, where known. A nest that is measured again has one name and several times.
+    /// Time since the session began, s, if known. A nest that is measured again has one name and several times.
     pub time: Option<f64>,
 }
 
@@ -108,11 +109,11 @@ pub struct Target {
     pub in_flange: Vector3<f64>,
     /// Covariance of the measured offset, m²; `None` for a nominal value of unknown uncertainty.
     pub covariance: Option<Matrix3<f64>>,
-    /// How it is turned on the flange, of a target whose readings are full poses; `None` of a point.
+    /// Its orientation on the flange, if its readings are full poses; `None` for a point.
     pub orientation: Option<TargetOrientation>,
 }
 
-/// How a target with axes of its own is turned on the flange.
+/// The orientation on the flange of a target with axes of its own.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TargetOrientation {
     /// `flange_from_target`, measured or nominal.
@@ -126,14 +127,14 @@ pub struct TargetOrientation {
 pub struct Observation {
     /// Number of the pose, as recorded.
     pub pose: u32,
-    /// What the controller commanded, one number an actuator, m or rad.
+    /// What the controller commanded, one number per actuator, m or rad.
     pub command: Vec<f64>,
     /// Sign of the last motion of each actuator before the pose: -1, 0 (unknown) or 1.
     pub approach: Vec<i8>,
-    /// How far each actuator had moved at the pose since it last reversed, m or rad; empty where not known. Of one without a sign of approach it
-    /// says nothing.
+    /// How far each actuator had moved at the pose since it last reversed, m or rad; empty if unknown. Meaningless for an actuator without a
+    /// sign of approach.
     pub since_reversal: Vec<f64>,
-    /// Temperature of the air at the robot, °C, where known. The robot itself may be warmer.
+    /// Air temperature at the robot, °C, if known. The robot itself may be warmer.
     pub temperature: Option<f64>,
     /// Time since the session began, s.
     pub time: f64,
@@ -141,7 +142,7 @@ pub struct Observation {
     pub station: usize,
     /// Index into [`MeasurementSet::targets`].
     pub target: usize,
-    /// What the flange carried at that pose, beside what the robot's model says it always does; `None` where nothing.
+    /// What the flange carried at that pose in addition to the loads of the robot's model; `None` if nothing.
     pub payload: Option<Payload>,
     /// What the tracker read.
     pub reading: Reading,
@@ -152,7 +153,7 @@ pub struct Observation {
 pub enum Reading {
     /// As the instrument observes.
     Spherical(SphericalReading),
-    /// Coordinates that another program made of it, m, with their covariance (m²) where stated.
+    /// Coordinates that another program computed from it, m, with their covariance (m²) if stated.
     Cartesian {
         /// m
         position: Vector3<f64>,
@@ -170,7 +171,7 @@ pub struct PoseReading {
     pub position: Vector3<f64>,
     /// `tracker_from_target`.
     pub rotation: Rotation3<f64>,
-    /// Covariance of the position's error (m) and of the rotation vector φ in `exp(φ) · rotation` (rad), both in the tracker's axes, where stated.
+    /// Covariance of the position's error (m) and of the rotation vector φ in `exp(φ) · rotation` (rad), both in the tracker's axes, if stated.
     pub covariance: Option<Matrix6<f64>>,
 }
 
@@ -183,21 +184,21 @@ pub struct SphericalReading {
     pub azimuth: f64,
     /// Above the tracker's x-y plane, rad.
     pub elevation: f64,
-    /// Covariance of (range, azimuth, elevation), where stated: m², m rad, rad².
+    /// Covariance of (range, azimuth, elevation), if stated: m², m rad, rad².
     pub covariance: Option<Matrix3<f64>>,
     /// The face in which it was taken. Angles are those of the point's direction in both.
     pub face: Face,
 }
 
-/// Measurements that cannot be.
+/// Why measurements are invalid.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum MeasurementError {
     /// No observation.
-    #[error("there is no measurement to identify from")]
+    #[error("there are no measurements to identify from")]
     Empty,
     /// An observation of another robot.
-    #[error("pose {pose}: {found} commands, the robot has {expected} joints")]
+    #[error("pose {pose}: {found} commands, but the robot has {expected} joints")]
     JointCount {
         /// The pose.
         pose: u32,
@@ -206,9 +207,9 @@ pub enum MeasurementError {
         /// The robot's number of joints.
         expected: usize,
     },
-    /// Signs of approach that are not one an actuator.
+    /// Not one sign of approach per actuator.
     #[error(
-        "pose {pose}: {found} signs of approach for {expected} commands: expected as many, or none where unknown"
+        "pose {pose}: {found} signs of approach for {expected} commands: expected one per command, or none if unknown"
     )]
     Approach {
         /// The pose.
@@ -218,14 +219,15 @@ pub enum MeasurementError {
         /// The number of commands.
         expected: usize,
     },
-    /// Ways since the last reversals that are not one an actuator, or cannot be.
+    /// Not one valid distance since the last reversal per actuator.
     #[error(
-        "pose {pose}: since_reversal is {found:?} for {expected} commands: expected as many finite ways of zero or more, or none where unknown"
+        "pose {pose}: since_reversal is {found:?} for {expected} commands: expected one finite distance of zero or more per \
+         command, or none if unknown"
     )]
     SinceReversal {
         /// The pose.
         pose: u32,
-        /// The ways, m or rad.
+        /// The distances, m or rad.
         found: Vec<f64>,
         /// The number of commands.
         expected: usize,
@@ -236,7 +238,7 @@ pub enum MeasurementError {
         /// The pose.
         pose: u32,
     },
-    /// A load at the flange that cannot be.
+    /// An invalid load at the flange.
     #[error("pose {pose}: {source}")]
     Payload {
         /// The pose.
@@ -244,13 +246,13 @@ pub enum MeasurementError {
         /// Why.
         source: PayloadError,
     },
-    /// A number that is not one.
+    /// A number that is not finite.
     #[error("pose {pose}: a command or reading is not a finite number")]
     NotFinite {
         /// The pose.
         pose: u32,
     },
-    /// An instrument's error that cannot be as large as stated.
+    /// An invalid standard deviation of an instrument's error.
     #[error(
         "station {station}: the standard deviation of its instrument's {term} is {sigma}: expected a finite number of zero or more"
     )]
@@ -262,14 +264,15 @@ pub enum MeasurementError {
         /// m, rad or 1.
         sigma: f64,
     },
-    /// A drift that cannot be as large as stated.
+    /// An invalid standard deviation of a drift.
     #[error(
-        "station {station}: the standard deviation of its drift is {sigma} m or rad in an hour: expected a finite number of zero or more"
+        "station {station}: the standard deviation of its drift is {sigma} m or rad per hour: expected a finite number of \
+         zero or more"
     )]
     DriftSigma {
         /// Name of the station.
         station: String,
-        /// m or rad in an hour.
+        /// m or rad per hour.
         sigma: f64,
     },
     /// An instrument's error that is stated twice.
@@ -286,10 +289,10 @@ pub enum MeasurementError {
         /// Which station, nest or target.
         what: String,
     },
-    /// Axes that do not stand at right angles, or are not of length one.
+    /// Axes that are not at right angles, or not of length one.
     #[error(
-        "{what}: the three columns of the rotation are off right angles and unit length by {off:.1e}: expected a rotation, as a matrix \
-         with orthonormal columns; check which columns of the file hold it, and their convention"
+        "{what}: the three columns of the rotation differ from right angles and unit length by {off:.1e}: expected a \
+         rotation, as a matrix with orthonormal columns; check which columns of the file hold it, and their convention"
     )]
     NoRotation {
         /// Which pose or target.
@@ -305,28 +308,29 @@ pub enum MeasurementError {
         /// Which pose or target.
         what: String,
     },
-    /// The covariance of a full pose cannot be one.
+    /// An invalid covariance of a full pose.
     #[error(
-        "pose {pose}: the 6 x 6 covariance of its position (m) and rotation (rad) is not symmetric and positive definite: expected the \
-         covariance of six errors none of which is exact; give every one of them a standard deviation above zero"
+        "pose {pose}: the 6 x 6 covariance of its position (m) and rotation (rad) is not symmetric and positive definite: \
+         expected six errors, each with a standard deviation above zero"
     )]
     PoseCovariance {
         /// The pose.
         pose: u32,
     },
-    /// The covariance of how a target is turned on the flange cannot be one.
+    /// An invalid covariance of a target's orientation on the flange.
     #[error(
-        "target {target}: the covariance of its orientation is not symmetric and positive definite: expected standard deviations above \
-         zero (rad), or none where the orientation is unknown"
+        "target {target}: the covariance of its orientation is not symmetric and positive definite: expected standard \
+         deviations above zero (rad), or none if the orientation is unknown"
     )]
     OrientationCovariance {
         /// The target.
         target: String,
     },
-    /// A full pose of what has no axes.
+    /// A full pose of a target without axes.
     #[error(
-        "pose {pose} has a rotation, but nothing says how its target is turned on the flange ({target}): state a rotation of [[target]] in a session file, or of [target] in the robot's file; without an \
-         uncertainty it is identified, and need not be near"
+        "pose {pose} has a rotation, but the orientation of its target on the flange ({target}) is not stated: state a \
+         rotation of [[target]] in a session file, or of [target] in the robot's file; without an uncertainty it is \
+         identified, and a rough value will do"
     )]
     PoseOfPoint {
         /// The pose.
@@ -337,8 +341,8 @@ pub enum MeasurementError {
 }
 
 impl MeasurementSet {
-    /// Positions of one target in the frame of one tracker (m) at commands (m or rad), numbered from one. Nothing is known of the tracker's place,
-    /// of the target's offset on the flange, or of the noise.
+    /// Positions of one target in the frame of one tracker (m) at commands (m or rad), numbered from one. Tracker place, target offset and noise
+    /// are unknown.
     pub fn of_points(points: impl IntoIterator<Item = (Vec<f64>, Vector3<f64>)>) -> Self {
         let mut set = Self {
             stations: vec![Station { name: "1".to_owned(), ..Station::default() }],
@@ -373,9 +377,9 @@ impl MeasurementSet {
         self
     }
 
-    /// Lets a certified place that several stations have seen count once: its covariance becomes as many times as large at each of them. What they
-    /// know together of the base is then right, since what is certified wrongly is the same for all; of one against the other they know more
-    /// than is stated. Whether anything changed.
+    /// Makes a certified place that several stations have seen count once: its covariance is multiplied by their number. Their common knowledge of
+    /// the base is then right, because an error of the certificate is the same for all; relative to each other, they know more than this states.
+    /// Returns whether anything changed.
     pub fn share_certificates(&mut self) -> bool {
         let mut places: Vec<(&str, Vector3<f64>, usize)> = Vec::new();
         for station in &self.stations {
@@ -416,7 +420,8 @@ impl MeasurementSet {
         (squares / self.observations.len().max(1) as f64).sqrt()
     }
 
-    /// Whether the set can be one of a robot with this number of joints. Whatever identifies from a set asks this first.
+    /// Whether the set is valid for a robot with this number of joints. Whatever identifies from a set checks this
+    /// first.
     pub fn check(&self, joints: usize) -> Result<(), MeasurementError> {
         if self.observations.is_empty() {
             return Err(MeasurementError::Empty);
@@ -470,7 +475,7 @@ impl MeasurementSet {
         )
     }
 
-    /// What the flange carried, each with the number of poses, in the order of their first ones; empty where it never carried anything.
+    /// The payloads, each with its number of poses, in the order of their first ones; empty without payloads.
     pub fn payloads(&self) -> Vec<(Option<&Payload>, usize)> {
         let mut carried: Vec<(Option<&Payload>, HashSet<u32>)> = Vec::new();
         for observation in &self.observations {
@@ -505,7 +510,7 @@ impl MeasurementSet {
 }
 
 impl Station {
-    /// The time at which nests, or without them sweeps, place it, s: the mean of their times; zero where a nest has none.
+    /// The mean time of the nests or, without them, the sweeps that place it, s; zero if a nest has no time.
     pub fn placed_at(&self) -> f64 {
         let of_nests = self.nests.iter().map(|nest| nest.time);
         let of_sweeps =
@@ -516,7 +521,7 @@ impl Station {
             .map_or(0.0, |times| times.iter().sum::<f64>() / times.len() as f64)
     }
 
-    /// The readings of every nest (indices into [`nests`](Self::nests)): those that have its name and its certified place.
+    /// The readings of every nest (indices into [`nests`](Self::nests)): those with the same name and certified place.
     pub fn distinct_nests(&self) -> Vec<Vec<usize>> {
         let mut distinct: Vec<Vec<usize>> = Vec::new();
         for (index, nest) in self.nests.iter().enumerate() {
@@ -598,7 +603,7 @@ impl SphericalReading {
         self.range * Vector3::new(cos_el * cos_az, cos_el * sin_az, sin_el)
     }
 
-    /// Covariance of [`Self::position`] to first order, m², where the reading states one.
+    /// Covariance of [`Self::position`] to first order, m², if the reading states one.
     pub fn position_covariance(&self) -> Option<Matrix3<f64>> {
         let covariance = self.covariance?;
         let (sin_az, cos_az) = self.azimuth.sin_cos();
@@ -637,7 +642,7 @@ impl Reading {
         self.position().iter().chain(covariance).chain(turn).all(|v| v.is_finite())
     }
 
-    /// Range (m), azimuth and elevation (rad): as read, else of the position.
+    /// Range (m), azimuth and elevation (rad): as read, otherwise from the position.
     pub fn spherical(&self) -> [f64; 3] {
         if let Self::Spherical(reading) = self {
             return [reading.range, reading.azimuth, reading.elevation];
@@ -646,7 +651,7 @@ impl Reading {
         [p.norm(), p.y.atan2(p.x), p.z.atan2(p.x.hypot(p.y))]
     }
 
-    /// The face in which it was taken: the front, where it does not say.
+    /// The face in which it was taken; front if not stated.
     pub fn face(&self) -> Face {
         match self {
             Self::Spherical(reading) => reading.face,
@@ -654,7 +659,7 @@ impl Reading {
         }
     }
 
-    /// How far an error of the instrument displaces the position that it reads there, per unit of its amplitude, m in the tracker's axes.
+    /// Displacement of the position read, per unit of an instrument error's amplitude, m in the tracker's axes.
     pub fn displaced_by(&self, term: InstrumentTerm) -> Vector3<f64> {
         let [range, azimuth, elevation] = self.spherical();
         beam_axes(azimuth, elevation) * term.displacement(range, azimuth, elevation, self.face())
@@ -669,7 +674,7 @@ impl Reading {
         }
     }
 
-    /// Covariance of the position, m², where the reading states one.
+    /// Covariance of the position, m², if the reading states one.
     pub fn position_covariance(&self) -> Option<Matrix3<f64>> {
         match self {
             Self::Spherical(reading) => reading.position_covariance(),

@@ -1,4 +1,4 @@
-//! What the order of commands tells of the way to a pose.
+//! What the order of commands says about the way to a pose.
 
 /// The last command of every actuator, the sign of its last motion, and how far it has moved since it last reversed.
 ///
@@ -32,7 +32,7 @@ impl Motion {
         }
     }
 
-    /// Goes to a command; no motion of up to `least`, m or rad, is one.
+    /// Goes to a command; a motion of up to `least`, m or rad, counts as none.
     pub fn go_to(&mut self, command: &[f64], least: f64) {
         self.approach.resize(command.len(), 0);
         self.since_reversal.resize(command.len(), 0.0);

@@ -1,4 +1,4 @@
-//! Full poses: whether they can be, and one made of three points.
+//! Full poses: their validity, and one computed from three points.
 
 use nalgebra::{Cholesky, DimMin, DimName, Matrix3, Matrix6, OMatrix, Rotation3, SMatrix, Vector3};
 use thiserror::Error;
@@ -6,10 +6,10 @@ use thiserror::Error;
 use super::{MeasurementError, PoseReading, Reading, Target};
 use crate::geometry::{best_fit_transform, cross_matrix, rotation_vector};
 
-/// What rounding to six digits leaves of right angles and unit lengths.
+/// Deviation from right angles and unit lengths that rounding to six digits leaves.
 const ORTHONORMAL: f64 = 1e-5;
 
-/// Relative difference of two entries of a covariance that are one.
+/// Relative difference up to which two entries of a covariance are equal.
 const SYMMETRIC: f64 = 1e-6;
 
 impl PoseReading {
@@ -58,16 +58,17 @@ where
     is_symmetric && Cholesky::new(scaled).is_some()
 }
 
-/// Points that make no pose.
+/// Why points do not make a pose.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[non_exhaustive]
 pub enum CombineError {
     /// Too few, or on one line.
-    #[error("three or more points that are not on one line make a pose, and these are fewer, or on one line")]
+    #[error("a pose needs three or more points that are not on one line; these are fewer, or on one line")]
     OnOneLine,
-    /// A reading whose noise is not known.
+    /// A reading without a known noise.
     #[error(
-        "point {index}: its covariance is missing or not positive definite, and the pose's would be unknown: state the noise of every point"
+        "point {index}: its covariance is missing or not positive definite, so that of the pose cannot be computed: state the \
+         noise of every point"
     )]
     Covariance {
         /// Which point, from zero.
@@ -75,16 +76,16 @@ pub enum CombineError {
     },
 }
 
-/// Passes from the best fit with equal weights; from there two reach rounding.
+/// Passes from the best fit with equal weights; two are enough to reach rounding.
 const PASSES: usize = 4;
 
-/// The pose of a tool of which three or more points were seen: `points` holds where each lies in the tool's frame (m) with its reading in the
-/// tracker's. The pose is the weighted least-squares one; its covariance is that of the readings, carried through to first order, so that a
-/// point far from the tool's origin says more of the rotation than of the place. The places of the points in the tool are taken as exact.
+/// The pose of a tool on which three or more points were seen: `points` holds the place of each in the tool's frame (m) with its reading in
+/// the tracker's. The pose is the weighted least-squares one; its covariance is propagated from the readings to first order, so that a point
+/// far from the tool's origin says more about the rotation than about the place. The places of the points in the tool are taken as exact.
 ///
 /// # Errors
 ///
-/// [`CombineError`], where the points do not determine a pose, or a reading states no covariance.
+/// [`CombineError`], if the points do not determine a pose, or a reading states no covariance.
 pub fn combine(points: &[(Vector3<f64>, &Reading)]) -> Result<PoseReading, CombineError> {
     let in_tool: Vec<_> = points.iter().map(|(place, _)| *place).collect();
     let seen: Vec<_> = points.iter().map(|(_, reading)| reading.position()).collect();
@@ -228,7 +229,7 @@ mod tests {
         let skewed = Rotation3::from_matrix_unchecked(Matrix3::from_diagonal(&vector![1.0, 1.0, 1.1]));
         let has = |text: &str, part: &str| assert!(text.contains(part), "{text}");
         has(&told(&|_, pose| pose.rotation = mirrored), "pose 1: the axes of the rotation are left-handed");
-        has(&told(&|_, pose| pose.rotation = skewed), "pose 1: the three columns of the rotation are off");
+        has(&told(&|_, pose| pose.rotation = skewed), "pose 1: the three columns of the rotation differ from");
         has(&told(&|_, pose| pose.covariance = Some(Matrix6::zeros())), "pose 1: the 6 x 6 covariance");
         has(
             &told(&|_, pose| {

@@ -1,4 +1,4 @@
-//! Where the tracker stands, from the base nests.
+//! The tracker's place, from the base nests.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix6, Vector6};
 use serde::{Deserialize, Serialize};
@@ -7,7 +7,7 @@ use thiserror::Error;
 use super::{DRIFT_UNIT, StatedInstrument, Station};
 use crate::geometry::{Transform, best_fit_transform, cross_matrix, small_displacement};
 
-/// Where a station stands, and how well that is known.
+/// The place of a station, with its covariance.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Registration {
     /// `tracker_from_base`.
@@ -18,23 +18,26 @@ pub struct Registration {
     pub chi2: f64,
 }
 
-/// Nests that do not determine a station.
+/// Why nests do not place a station.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum RegistrationError {
     /// Too few.
     #[error(
-        "{found} base nests were measured, at least 3 that are not on one line are needed to place the tracker"
+        "{found} base nests were measured: placing the tracker needs at least 3 that are not on one line"
     )]
     TooFewNests {
         /// Their number.
         found: usize,
     },
     /// On one line.
-    #[error("the base nests lie on one line and do not determine the tracker's place")]
+    #[error("the base nests lie on one line and do not determine the tracker's place: add a nest away from that line")]
     OnOneLine,
     /// A covariance that is missing or not positive definite.
-    #[error("nest {nest}: the covariance is missing or not positive definite")]
+    #[error(
+        "nest {nest}: its covariance is missing or not positive definite: state the noise of its reading and the uncertainty \
+         of its certified place"
+    )]
     Covariance {
         /// Name of the nest.
         nest: String,
@@ -71,16 +74,16 @@ pub fn register(station: &Station) -> Result<Registration, RegistrationError> {
     Err(RegistrationError::OnOneLine)
 }
 
-/// The whitened system that [`register`] solves: three rows a reading, those of one nest behind each other.
+/// The whitened system that [`register`] solves: three rows per reading, those of one nest consecutive.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct NestSystem {
     /// Derivative by the displacement `xi` in `tracker_from_base · exp(xi)`, 3 readings x 6.
     pub jacobian: DMatrix<f64>,
     /// Predicted minus seen places, in standard deviations.
     pub residuals: DVector<f64>,
-    /// Derivative by the errors that the station's instrument is stated to have, 3 readings x their number.
+    /// Derivative by the stated errors of the station's instrument, 3 readings x their number.
     pub instrument: DMatrix<f64>,
-    /// Derivative by a steady motion of the tracker, per hour, 3 readings x 6; zero where the nests have no times.
+    /// Derivative by a steady motion of the tracker, per hour, 3 readings x 6; zero if the nests have no times.
     pub drift: DMatrix<f64>,
     /// The nests, in the order of the rows.
     pub nests: Vec<WhitenedNest>,
@@ -99,7 +102,7 @@ pub struct WhitenedNest {
 ///
 /// # Errors
 ///
-/// [`RegistrationError::Covariance`], of a nest without one.
+/// [`RegistrationError::Covariance`], for a nest without one.
 pub fn nest_system(
     station: &Station,
     tracker_from_base: &Transform,

@@ -1,4 +1,4 @@
-//! Poses that are measured more than once: what the machine and its tracker repeat.
+//! Poses that are measured more than once: how well the machine and its tracker repeat.
 
 use std::collections::HashMap;
 use std::hash::Hash;
@@ -8,24 +8,25 @@ use nalgebra::Vector3;
 use super::{MeasurementSet, Observation};
 use crate::Payload;
 
-/// What repeats of a pose say of a set.
+/// What repeats of a pose say about a set.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Repeats {
     /// Poses (of a station and a target) with more than one reading.
     pub poses: usize,
     /// Readings of them beyond the first: degrees of freedom of the scatter, times three.
     pub repeats: usize,
-    /// RMS distance of one reading from the mean of its pose, m: root of the summed squares over the repeats. No model that tells a pose by
-    /// its command leaves less on single readings.
+    /// RMS distance of one reading from the mean of its pose, m: root of the summed squares over the repeats. No model that depends only on
+    /// the command leaves less on single readings.
     pub rms_3d: f64,
 }
 
-/// Commands of one pose that differ by no more move the target by less than readings scatter, m or rad: joints that were read, not commanded.
+/// Commands of one pose that differ by up to this move the target by less than readings scatter, m or rad: for joints that were read, not
+/// commanded.
 const SAME_COMMAND: f64 = 1e-5;
 
 impl MeasurementSet {
-    /// What its repeats scatter by; `None` where no pose is measured twice from the same sides. Repeats have the same approach, station,
-    /// target and payload, and the same command: to the last bit, or within 1e-5 m or rad where they have the number of one pose.
+    /// The scatter of its repeats; `None` if no pose is measured twice from the same sides. Repeats have the same approach, station,
+    /// target and payload, and the same command: to the last bit, or within 1e-5 m or rad if they have the same pose number.
     #[must_use]
     pub fn repeats(&self) -> Option<Repeats> {
         let groups = self.repeated_readings();
@@ -35,22 +36,23 @@ impl MeasurementSet {
             let mean = points().sum::<Vector3<f64>>() / group.len() as f64;
             points().map(|point| (point - mean).norm_squared()).sum::<f64>()
         };
-        // In an order of its own, so that the sum is the same every time.
+        // In a fixed order, so that the sum is the same every time.
         let mut squares: Vec<f64> = groups.iter().map(scatter).collect();
         squares.sort_by(f64::total_cmp);
         let rms_3d = (squares.iter().sum::<f64>() / repeats as f64).sqrt();
         (repeats > 0).then_some(Repeats { poses: groups.len(), repeats, rms_3d })
     }
 
-    /// The observations that are [repeats](Self::repeats) of each other, by index: a list of two or more a pose, in the order of their first ones.
+    /// The observations that are [repeats](Self::repeats) of each other, by index: a list of two or more per pose, in the order of their first
+    /// ones.
     #[must_use]
     pub fn repeated_readings(&self) -> Vec<Vec<usize>> {
         let groups = self.grouped(|o| (o.approach.as_slice(), o.station, o.target));
         groups.into_iter().filter(|group| group.len() > 1).collect()
     }
 
-    /// The observations of one target at one command and with one payload, from whichever side it was approached and whichever station it was seen, by index; also those of
-    /// poses that were measured once.
+    /// The observations of one target at one command and with one payload, regardless of approach and station, by index; includes poses that were
+    /// measured once.
     #[must_use]
     pub fn same_commands(&self) -> Vec<Vec<usize>> {
         self.grouped(|o| o.target)

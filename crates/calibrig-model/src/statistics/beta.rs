@@ -5,9 +5,9 @@ use std::f64::consts::TAU;
 use super::gamma::{deviance, half, stirling_error};
 use super::{continued_fraction, invert, ln_gamma, normal_quantile, terms_for};
 
-/// Above, the fraction takes longer than anybody waits; no count is as large.
+/// Above this, the fraction takes too long; no count is as large.
 const MOST: f64 = 1e9;
-/// From here on the logarithms of the gamma functions have too many digits in front of the point to be taken from each other.
+/// From here on the difference of the logarithms of gamma functions loses too many digits.
 const LARGE: f64 = 1e5;
 
 /// Logarithm of `x^a (1-x)^b / (a B(a, b))`.
@@ -56,13 +56,13 @@ fn ln_beta_regularised(a: f64, b: f64, x: f64) -> f64 {
     }
 }
 
-/// The regularised incomplete beta function `I_x(a, b)`, for a, b above 0 and up to 1e9 and x in 0..1; not a number for other a and b.
+/// The regularised incomplete beta function `I_x(a, b)`, for a, b above 0 and up to 1e9 and x in 0..1; NaN for other a and b.
 pub fn beta_regularised(a: f64, b: f64, x: f64) -> f64 {
     ln_beta_regularised(a, b, x).exp()
 }
 
-/// Logarithm of the probability that F with (`d1`, `d2`) degrees of freedom is above `f`: finite where the probability itself is too
-/// small for a number. Not a number where one of them is not above zero, or above 2e9.
+/// Logarithm of the probability that F with (`d1`, `d2`) degrees of freedom is above `f`: finite even if the probability itself
+/// underflows. NaN if one of them is not above zero, or above 2e9.
 pub fn f_ln_survival(f: f64, d1: f64, d2: f64) -> f64 {
     if !(f > 0.0) {
         return if f.is_nan() { f } else { 0.0 };
@@ -73,7 +73,7 @@ pub fn f_ln_survival(f: f64, d1: f64, d2: f64) -> f64 {
     ln_beta_regularised(half(d2), half(d1), d2 / (d2 + d1 * f))
 }
 
-/// The point below which Student's t with `dof` degrees of freedom lies with probability `p`. Not a number where `p` is none or `dof` is not
+/// The point below which Student's t with `dof` degrees of freedom lies with probability `p`. NaN if `p` is outside 0..1 or `dof` is not
 /// above zero.
 pub fn student_t_quantile(p: f64, dof: f64) -> f64 {
     if p.is_nan() || !(dof > 0.0) {
@@ -94,7 +94,7 @@ pub fn student_t_quantile(p: f64, dof: f64) -> f64 {
     if p < 0.5 { -far } else { far }
 }
 
-/// Probability of at most `hits` successes in `trials` of probability `p` each; not a number for more than 1e9 trials.
+/// Probability of at most `hits` successes in `trials` of probability `p` each; NaN for more than 1e9 trials.
 pub fn binomial_cdf(hits: u64, trials: u64, p: f64) -> f64 {
     if hits >= trials { 1.0 } else { beta_regularised((trials - hits) as f64, hits as f64 + 1.0, 1.0 - p) }
 }
@@ -102,7 +102,7 @@ pub fn binomial_cdf(hits: u64, trials: u64, p: f64) -> f64 {
 /// Exact two-sided interval for the probability behind `hits` of `trials`, with confidence `level`.
 ///
 /// Source: C. J. Clopper, E. S. Pearson, "The use of confidence or fiducial limits illustrated in the case of the binomial", Biometrika 26
-/// (1934), 404-413. No numbers for more than 1e9 trials.
+/// (1934), 404-413. NaN for more than 1e9 trials.
 pub fn clopper_pearson(hits: u64, trials: u64, level: f64) -> (f64, f64) {
     let tail = 0.5 * (1.0 - level);
     if trials as f64 > MOST {

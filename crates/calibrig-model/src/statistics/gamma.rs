@@ -36,7 +36,7 @@ pub fn ln_gamma(x: f64) -> f64 {
 
 /// From here on Stirling's series is exact to rounding.
 const LARGE: f64 = 16.0;
-/// Below, a number is lost beside one.
+/// Below this, a number is lost next to one.
 const SMALL: f64 = 1e-17;
 
 /// What Stirling's formula leaves of ln Γ(x): `1/(12x) - 1/(360x³) + ...`.
@@ -63,7 +63,7 @@ pub(super) fn deviance(a: f64, x: f64) -> f64 {
     } else if ratio.is_normal() {
         relative - ratio.ln()
     } else {
-        // The ratio is beyond what a number holds; its logarithm is not.
+        // The ratio overflows; its logarithm does not.
         relative - (x.ln() - a.ln())
     }
 }
@@ -72,10 +72,10 @@ pub(super) fn deviance(a: f64, x: f64) -> f64 {
 ///
 /// Source: E. B. Wilson, M. M. Hilferty, "The distribution of chi-square", Proc. Natl. Acad. Sci. 17 (1931), 684-688.
 const NORMAL: f64 = 1e9;
-/// Below, the part of it that is not at zero is smaller than any number that a user has.
+/// Below this, the part that is not at zero is smaller than any number in use.
 const NOTHING: f64 = 1e-290;
 
-/// The regularised incomplete gamma functions (P, Q) of a > 0 at x >= 0; the smaller one keeps its relative accuracy. No numbers for other a.
+/// The regularised incomplete gamma functions (P, Q) of a > 0 at x >= 0; the smaller one keeps its relative accuracy. NaN for other a.
 fn gamma_regularised(a: f64, x: f64) -> (f64, f64) {
     if !(a > 0.0) {
         return (f64::NAN, f64::NAN);
@@ -83,7 +83,7 @@ fn gamma_regularised(a: f64, x: f64) -> (f64, f64) {
     if !(x > 0.0) {
         return if x.is_nan() { (x, x) } else { (0.0, 1.0) };
     }
-    // With next to no degrees of freedom all of it is at zero.
+    // With hardly any degrees of freedom all of it is at zero.
     if x.is_infinite() || a < NOTHING {
         return (1.0, 0.0);
     }
@@ -94,7 +94,7 @@ fn gamma_regularised(a: f64, x: f64) -> (f64, f64) {
     let terms = terms_for(a.max(x));
     let factor = density_factor(a, x);
     if factor == 0.0 {
-        // Too far out for a number; there the fraction may not converge, for its terms are no longer whole.
+        // So far out that it underflows; there the fraction may not converge, because its terms are no longer exact.
         return if x < a { (0.0, 1.0) } else { (1.0, 0.0) };
     }
     if x < a + 1.0 {
@@ -133,8 +133,8 @@ pub fn chi2_survival(x: f64, dof: f64) -> f64 {
     gamma_regularised(half(dof), 0.5 * x).1
 }
 
-/// The point below which chi-square with `dof` degrees of freedom lies with probability `p`; infinite for p >= 1. Not a number where `dof` is
-/// not finite and above zero.
+/// The point below which chi-square with `dof` degrees of freedom lies with probability `p`; infinite for p >= 1. NaN if `dof` is not finite
+/// and above zero.
 pub fn chi2_quantile(p: f64, dof: f64) -> f64 {
     if !(dof > 0.0 && dof.is_finite()) {
         return f64::NAN;
@@ -169,7 +169,7 @@ pub fn normal_survival(z: f64) -> f64 {
 /// The point below which a standard normal variable lies with probability `p`; infinite for p <= 0 and p >= 1.
 pub fn normal_quantile(p: f64) -> f64 {
     let tail = p.min(1.0 - p);
-    // Twice as much taken from one would lose the digits of a small tail.
+    // Subtracting twice as much from one would lose the digits of a small tail.
     if tail > 0.0 && tail < 1e-7 {
         let far = invert(-tail, 0.0, 40.0, |z| -normal_survival(z));
         return if p < 0.5 { -far } else { far };

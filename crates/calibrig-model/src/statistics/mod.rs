@@ -6,10 +6,10 @@ mod gamma;
 pub use beta::{beta_regularised, binomial_cdf, clopper_pearson, f_ln_survival, student_t_quantile};
 pub use gamma::{chi2_cdf, chi2_quantile, chi2_survival, ln_gamma, normal_quantile, normal_survival};
 
-/// The root of an increasing function in `[low, high]`, of numbers that are not negative, to the last bit: where it passes `level`.
+/// The root of an increasing function in `[low, high]`, both not negative, to the last bit: where it passes `level`.
 fn invert(level: f64, mut low: f64, mut high: f64, function: impl Fn(f64) -> f64) -> f64 {
     loop {
-        // First the exponent: halving takes a thousand steps to a root next to zero.
+        // First the exponent: bisection alone takes a thousand steps to a root next to zero.
         let middle = if high > 2.0 * low {
             f64::from_bits(low.to_bits().midpoint(high.to_bits()))
         } else {
@@ -53,7 +53,7 @@ fn continued_fraction(terms: usize, term: impl Fn(usize) -> (f64, f64)) -> f64 {
 
 /// Terms that a series or fraction with parameters of size `a` needs: it converges over some √a terms.
 fn terms_for(a: f64) -> usize {
-    // Truncation is meant; a negative or infinite `a` saturates.
+    // Truncation is intended; a negative or infinite `a` saturates.
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
     let wide = (30.0 * a.abs().sqrt()).min(1e7) as usize;
     500 + wide

@@ -1,12 +1,12 @@
-//! What repeats with every turn of a motor: eccentric pulleys and gears, the two lobes of a strain wave gear.
+//! Errors that repeat with every turn of a motor: eccentric pulleys and gears, the two lobes of a strain wave gear.
 
 use std::f64::consts::TAU;
 
 use super::{TermFamily, TermPlace, is_linear, joint_variable, parse_joint_variable};
 use crate::{CalibrationModel, PoseQuery};
 
-/// Sine and cosine at once and twice per motor turn, of every actuator whose turns are known.
-pub(super) struct Harmonic;
+/// Sine and cosine once and twice per motor turn, for every actuator whose turns are known.
+pub(super) struct HarmonicTerms;
 
 /// By index.
 const WAVES: [(&str, f64, Wave); 4] = [
@@ -18,7 +18,7 @@ const WAVES: [(&str, f64, Wave); 4] = [
 
 type Wave = fn(f64) -> f64;
 
-impl TermFamily for Harmonic {
+impl TermFamily for HarmonicTerms {
     fn key(&self) -> &'static str {
         "harmonic"
     }

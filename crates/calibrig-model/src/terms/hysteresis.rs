@@ -3,10 +3,10 @@
 use super::{TermFamily, TermPlace, is_linear, joint_variable, parse_joint_variable};
 use crate::{CalibrationModel, PoseQuery};
 
-/// One amplitude an actuator: it stands this far on the side that it came from.
-pub(super) struct Hysteresis;
+/// One amplitude per actuator: it stops this far on the side that it came from.
+pub(super) struct HysteresisTerms;
 
-impl TermFamily for Hysteresis {
+impl TermFamily for HysteresisTerms {
     fn key(&self) -> &'static str {
         "hysteresis"
     }

@@ -19,12 +19,12 @@ use super::{ActuatorMap, CalibrationModel, CraigLink, JointKind, PoseQuery, Unit
 
 /// Every family that can be switched on.
 pub const FAMILIES: &[&dyn TermFamily] = &[
-    &hysteresis::Hysteresis,
-    &harmonic::Harmonic,
-    &ratio::Ratio,
-    &rail::Rail,
-    &presliding::Presliding,
-    &spline::Spline,
+    &hysteresis::HysteresisTerms,
+    &harmonic::HarmonicTerms,
+    &ratio::RatioTerms,
+    &rail::RailTerms,
+    &presliding::PreslidingTerms,
+    &spline::SplineTerms,
 ];
 
 /// What a term displaces.
@@ -56,7 +56,7 @@ pub struct TermId {
 
 /// Terms of one kind, such as the hysteresis of every actuator.
 pub trait TermFamily: Sync {
-    /// How a user switches it on.
+    /// Its key, by which a user switches it on.
     fn key(&self) -> &'static str;
 
     /// What it stands for, for people.
@@ -71,16 +71,16 @@ pub trait TermFamily: Sync {
     /// Displacement of the place per unit of amplitude.
     fn basis(&self, model: &CalibrationModel, joint: usize, index: usize, input: &PoseQuery<'_>) -> f64;
 
-    /// Standard deviation of the amplitude's zero-mean prior, m or rad: what such machines have.
+    /// Standard deviation of the amplitude's zero-mean prior, m or rad: a typical size on real machines.
     fn prior_sigma(&self, linear: bool) -> f64;
 
-    /// The term's name behind `key_`, such as `theta3` or `d1`; joints count from one.
+    /// The term's name after `key_`, such as `theta3` or `d1`; joints count from one.
     fn suffix(&self, joint: usize, index: usize, linear: bool) -> String;
 
     /// Reads a [`suffix`](Self::suffix).
     fn parse(&self, suffix: &str) -> Option<(usize, usize, bool)>;
 
-    /// Whether it is fitted only where it is asked for by its key: it has more amplitudes than a session that was not planned for it pays for.
+    /// Whether it is fitted only if its key is given: it has more amplitudes than a session that was not planned for it can support.
     fn is_on_request(&self) -> bool {
         false
     }
@@ -90,13 +90,13 @@ pub trait TermFamily: Sync {
         false
     }
 
-    /// Whether machines differ so much that the size of its prior is found with the fit where nobody states it: `prior_sigma` is then where the search
+    /// Whether machines differ so much that the size of its prior is found with the fit if it is not stated: `prior_sigma` is then where the search
     /// begins.
     fn is_of_unknown_size(&self) -> bool {
         false
     }
 
-    /// Key of the family without which it makes no sense.
+    /// Key of the family without which it is meaningless.
     fn extends(&self) -> Option<&'static str> {
         None
     }
@@ -202,11 +202,11 @@ fn parse_counted(text: &str, count: usize) -> Option<(usize, usize, bool)> {
     let (variable, number) = text.split_once('_')?;
     let (joint, linear) = parse_joint_variable(variable)?;
     let index = number.parse::<usize>().ok()?.checked_sub(1)?;
-    // A name is read as it is written: without further zeros or signs.
+    // A name is read only as it is written: without extra zeros or signs.
     (index < count && number == (index + 1).to_string()).then_some((joint, index, linear))
 }
 
-/// Half of the way between a joint's limits, m or rad; half a turn or one metre where it has none.
+/// Half of the range between a joint's limits, m or rad; half a turn or one metre without limits.
 fn half_travel(link: &CraigLink) -> f64 {
     let half = 0.5 * (link.limits[1] - link.limits[0]);
     match link.kind {
@@ -216,7 +216,7 @@ fn half_travel(link: &CraigLink) -> f64 {
     }
 }
 
-/// The joint variable half-way between the limits, zero where there are none.
+/// The joint variable half-way between the limits, zero without limits.
 fn middle_of_travel(link: &CraigLink) -> f64 {
     let middle = 0.5 * (link.limits[0] + link.limits[1]);
     if middle.is_finite() { middle } else { 0.0 }

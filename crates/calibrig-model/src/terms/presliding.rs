@@ -1,25 +1,25 @@
-//! Hysteresis that builds up: what of it is still missing while an actuator has hardly moved since it reversed.
+//! Hysteresis that builds up: the part still missing while an actuator has hardly moved since it reversed.
 //!
-//! Friction between a drive and its encoder, and wind-up that it holds, change sides over a way: after a reversal, `exp(-way / length)` of the
-//! difference is still to come (P. R. Dahl, AIAA Journal 14 (1976) 1675, of friction before it slides). The sum over lengths a factor of four apart
-//! comes near any curve between them. Beyond them it has saturated, and the term `hysteresis` is all that is left.
+//! Friction between a drive and its encoder, and the wind-up that it holds, change sides over a distance: after a reversal, `exp(-distance /
+//! length)` of the difference is still to come (P. R. Dahl, AIAA Journal 14 (1976) 1675, on friction before sliding). The sum over lengths a factor
+//! of four apart approximates any curve between them. Beyond them it has saturated, and only the term `hysteresis` is left.
 
 use super::{TermFamily, TermPlace, is_linear, joint_variable};
 use crate::{CalibrationModel, PoseQuery};
 
-/// One amplitude an actuator and length: how far it still stands on the side of the motion right after the reversal.
-pub(super) struct Presliding;
+/// One amplitude per actuator and length: how far it still is on the side of the motion right after the reversal.
+pub(super) struct PreslidingTerms;
 
 /// By index, mm or degrees.
 const LENGTHS: [f64; 3] = [0.5, 2.0, 8.0];
 
-impl TermFamily for Presliding {
+impl TermFamily for PreslidingTerms {
     fn key(&self) -> &'static str {
         "presliding"
     }
 
     fn about(&self) -> &'static str {
-        "hysteresis that is still to come after a reversal, over 0.5, 2 and 8 mm or degrees"
+        "the rest of the hysteresis that builds up after a reversal, over 0.5, 2 and 8 mm or degrees"
     }
 
     fn terms(&self, model: &CalibrationModel) -> Vec<(usize, usize, bool)> {
@@ -62,7 +62,7 @@ impl TermFamily for Presliding {
     }
 
     fn is_of_unknown_size(&self) -> bool {
-        // Most machines show next to none, on which the figure for those that do would cost a quarter of the error.
+        // Most machines show hardly any; the prior size of those that do would cost them a quarter of the error.
         true
     }
 

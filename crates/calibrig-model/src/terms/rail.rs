@@ -3,10 +3,10 @@
 use super::{TermFamily, TermPlace, half_travel, joint_variable, middle_of_travel, parse_joint_variable};
 use crate::{CalibrationModel, JointKind, PoseQuery};
 
-/// The rails that the whole robot travels on: the prismatic joints in front of all others. A displacement along a rail is its actuator's.
+/// The rails that carry the whole robot: the prismatic joints in front of all others. A displacement along a rail is its actuator's.
 ///
-/// A constant part is a link parameter, and so is a sideways displacement in proportion to the position: it turns the rail.
-pub(super) struct Rail;
+/// A constant part is a link parameter, and so is a sideways displacement proportional to the position: it turns the rail.
+pub(super) struct RailTerms;
 
 /// By index: name of the component, the component, order of the polynomial.
 const TERMS: [(&str, usize, u8); 15] = [
@@ -27,7 +27,7 @@ const TERMS: [(&str, usize, u8); 15] = [
     ("rz3", 5, 3),
 ];
 
-impl TermFamily for Rail {
+impl TermFamily for RailTerms {
     fn key(&self) -> &'static str {
         "rail"
     }

@@ -5,12 +5,12 @@ use super::{
 };
 use crate::{CalibrationModel, PoseQuery};
 
-/// One amplitude an actuator: its error at the end of its travel, where it has none in the middle.
+/// One amplitude per actuator: its error at the end of its travel, with none in the middle.
 ///
-/// A displacement and not a fraction, so that it has the unit of its joint, and without a constant part, which is the joint's offset.
-pub(super) struct Ratio;
+/// A displacement, not a fraction, so that it has the unit of its joint; without a constant part, which is the joint's offset.
+pub(super) struct RatioTerms;
 
-impl TermFamily for Ratio {
+impl TermFamily for RatioTerms {
     fn key(&self) -> &'static str {
         "ratio"
     }

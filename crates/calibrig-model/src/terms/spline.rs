@@ -1,9 +1,9 @@
-//! A smooth error of an actuator that no formula is known of: a cubic spline over the commands, held by a prior on its curvature.
+//! A smooth error of an actuator without a known formula: a cubic spline over the commands, held by a prior on its curvature.
 //!
 //! On knots at equal distances, a natural cubic spline with the values f has ∫ f″² = fᵀ K f, K = Q R⁻¹ Qᵀ (P. J. Green, B. W. Silverman,
-//! "Nonparametric Regression and Generalized Linear Models" (1994), section 2.1). The prior of a smoothing spline, exp(-fᵀ K f / (2 τ²)), is that
-//! of an integrated Wiener process (G. Wahba, J. R. Statist. Soc. B 40 (1978) 364). It says nothing of the constant and linear parts: they are left
-//! out, being the joint's offset and the term `ratio`. What is left is written in the eigenvectors of K over the roots of their eigenvalues, so that the
+//! "Nonparametric Regression and Generalized Linear Models" (1994), section 2.1). The prior of a smoothing spline, exp(-fᵀ K f / (2 τ²)), is that of
+//! an integrated Wiener process (G. Wahba, J. R. Statist. Soc. B 40 (1978) 364). It does not constrain the constant and linear parts: they are left
+//! out, being the joint's offset and the term `ratio`. The rest is written in the eigenvectors of K over the roots of their eigenvalues, so that the
 //! amplitudes are independent and equally large (T. Speed, Statist. Sci. 6 (1991) 42). The same holds on a closed ring of knots, where only the
 //! constant is left out.
 
@@ -15,8 +15,8 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use super::{TermFamily, TermPlace, half_travel, is_linear, joint_variable, middle_command};
 use crate::{CalibrationModel, JointKind, PoseQuery};
 
-/// Seven amplitudes an actuator, the smoothest first.
-pub(super) struct Spline;
+/// Seven amplitudes per actuator, the smoothest first.
+pub(super) struct SplineTerms;
 
 /// Knots from one end of the span to the other.
 const KNOTS: usize = 9;
@@ -24,17 +24,18 @@ const KNOTS: usize = 9;
 const RING: usize = 8;
 /// Shapes of either.
 const SHAPES: usize = 7;
-/// A joint that can turn round and is seen in so much of a turn has errors that come again with the turn.
+/// A joint that can turn all the way round and is measured over this much of a turn has errors that repeat with the
+/// turn.
 const ROUND: f64 = 0.75 * TAU;
 
-/// A cubic spline on knots at a distance of one: what it is at them, and its second derivative there.
+/// A cubic spline on knots at a distance of one: its values at them, and its second derivatives there.
 #[derive(Debug, Clone)]
 struct Shape {
     values: Vec<f64>,
     bends: Vec<f64>,
 }
 
-impl TermFamily for Spline {
+impl TermFamily for SplineTerms {
     fn key(&self) -> &'static str {
         "spline"
     }
@@ -71,7 +72,7 @@ impl TermFamily for Spline {
             return on_ring().get(index).map_or(0.0, |shape| shape.at_turn((command - low) / TAU));
         }
         let whole = if is_revolute { TAU } else { 1.0 };
-        // An integrated Wiener process goes astray by the span to the power of 3/2.
+        // An integrated Wiener process deviates by the span to the power of 3/2.
         let size = (span / whole).powf(1.5);
         if !(size > 0.0 && size.is_finite()) {
             return 0.0;
@@ -106,7 +107,7 @@ impl TermFamily for Spline {
 }
 
 impl Shape {
-    /// At a place from 0 to 1 between the first and the last knot; beyond them it goes straight on.
+    /// At a place from 0 to 1 between the first and the last knot; beyond them it continues straight.
     fn at(&self, place: f64) -> f64 {
         let last = self.values.len() - 1;
         let x = place * last as f64;

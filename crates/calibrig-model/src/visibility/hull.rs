@@ -1,4 +1,5 @@
-//! The parts of a robot as capsules, which are easily held apart: whether it touches itself, or goes below a plane.
+//! The parts of a robot as capsules, whose distances are easily computed: whether it touches itself, or goes below a
+//! plane.
 
 use nalgebra::{UnitVector3, Vector3};
 
@@ -6,7 +7,7 @@ use super::shape::distance_of_segments;
 use super::{Obstacles, Stance};
 use crate::geometry::Transform;
 
-/// A part of a robot, or somewhat more: all that is within `radius` of the line between its ends.
+/// A part of a robot, slightly enlarged: all that is within `radius` of the line between its ends.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hull {
     /// 0 of the base, then the number of the link's joint from 1.
@@ -32,8 +33,8 @@ impl Hull {
 }
 
 impl Obstacles {
-    /// The parts of the robot at a pose, links in order: its shapes, each within a capsule about its longest axis; of a robot without shapes the
-    /// capsules along its chain, and one from the base's origin to the first joint. Empty for frames of another robot.
+    /// The parts of the robot at a pose, links in order: its shapes, each within a capsule about its longest axis; for a robot without shapes
+    /// the capsules along its chain, and one from the base's origin to the first joint. Empty for frames of another robot.
     pub fn hulls(&self, stance: Stance<'_>) -> Vec<Hull> {
         if self.names.len() != stance.links.len() + 1 {
             return Vec::new();

@@ -1,7 +1,7 @@
-//! Whether a tracker sees a reflector past the robot's own links: asked by the simulated session of the machine as it stands, by a planner of the
-//! nominal robot.
+//! Whether a tracker sees a reflector past the robot's own links: used by the simulated session for the machine as it stands, and by a planner
+//! for the nominal robot.
 //!
-//! Nothing in here is fitted and nothing is random. The links are the boxes, cylinders and spheres of the robot's URDF, or capsules along its chain.
+//! Nothing here is fitted or random. The links are the boxes, cylinders and spheres of the robot's URDF, or capsules along its chain.
 
 mod hull;
 mod room;
@@ -18,12 +18,12 @@ pub use hull::Hull;
 pub use room::{Built, Contact, Room};
 use shape::{Placed, distance_of_segments, distance_to_segment};
 
-/// A reflector on the flange, and from where light comes back from it.
+/// A reflector on the flange, and the directions from which it returns light.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reflector {
     /// Its centre in the flange frame, m.
     pub in_flange: Vector3<f64>,
-    /// Where its opening points, in the flange frame; `None` of one that is turned to the tracker by hand or has no opening.
+    /// Direction of its opening, in the flange frame; `None` if it is turned to the tracker by hand or has no opening.
     pub opening: Option<UnitVector3<f64>>,
     /// Largest angle between the opening and the beam, rad.
     pub acceptance: f64,
@@ -46,14 +46,14 @@ pub struct Obstacles {
     names: Vec<String>,
     /// Of the base, then of every link.
     shapes: Vec<Vec<Placed>>,
-    /// Radius of capsules from each link's origin to the next, m, where there are no shapes.
+    /// Radius of capsules from each link's origin to the next, m, if there are no shapes.
     chain: Option<f64>,
     /// Up, in the base frame, and the floor's height along it, m.
     floor: Option<(UnitVector3<f64>, f64)>,
     standoff: f64,
 }
 
-/// A machine at a pose, as its obstacles see it.
+/// A machine at a pose, as obstacles need it.
 #[derive(Debug, Clone, Copy)]
 pub struct Stance<'a> {
     /// `base_from_link` of every link.
@@ -62,14 +62,14 @@ pub struct Stance<'a> {
     pub flange: &'a Transform,
 }
 
-/// A line of sight that is free.
+/// A free line of sight.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FreeSight {
     /// m
     pub range: f64,
     /// Above the tracker's x-y plane, rad.
     pub elevation: f64,
-    /// Between the beam and the reflector's opening, rad; zero where it has none.
+    /// Between the beam and the reflector's opening, rad; zero without an opening.
     pub incidence: f64,
 }
 
@@ -89,9 +89,10 @@ pub enum Hidden {
         /// m
         depth: f64,
     },
-    /// The reflector looks elsewhere.
+    /// The reflector faces elsewhere.
     #[error(
-        "the beam meets the target at {:.1} deg from where its opening points, which is more than the {:.1} deg that come back",
+        "the beam meets the target at {:.1} deg from the axis of its opening, more than the {:.1} deg up to which it is \
+         returned",
         incidence.to_degrees(),
         acceptance.to_degrees()
     )]
@@ -101,7 +102,7 @@ pub enum Hidden {
         /// rad
         acceptance: f64,
     },
-    /// Too near or too far.
+    /// Too close or too far.
     #[error("range {range:.3} m is outside the tracker's {} to {} m", reach[0], reach[1])]
     Range {
         /// m
@@ -135,8 +136,8 @@ pub enum Hidden {
         /// rad
         reach: [f64; 2],
     },
-    /// A place that is no number, or frames of another robot.
-    #[error("the pose has {found} link frames of {expected}, or a place that is not a finite number")]
+    /// A place that is not finite, or frames of another robot.
+    #[error("the pose has {found} link frames instead of {expected}, or a place that is not a finite number")]
     NoPose {
         /// Frames given.
         found: usize,
@@ -146,15 +147,15 @@ pub enum Hidden {
 }
 
 impl Obstacles {
-    /// Nothing but the floor, where that is asked for.
+    /// Only the floor, if there is one.
     pub fn none(kinematics: &KinematicModel) -> Self {
         let links = kinematics.links.iter().map(|link| link.name.clone());
         let names: Vec<String> = std::iter::once("base".to_owned()).chain(links).collect();
         Self { shapes: vec![Vec::new(); names.len()], names, chain: None, floor: None, standoff: 0.0 }
     }
 
-    /// The shapes of a robot, of the base first, as [`Visual`]s have them. Everything is larger by `margin` (m) on every side, for the beam's own
-    /// radius and for what a shape leaves out.
+    /// The shapes of a robot, those of the base first, as [`Visual`]s. Everything is enlarged by `margin` (m) on every side, for the beam's own
+    /// radius and for details that a shape lacks.
     pub fn of_shapes(kinematics: &KinematicModel, visuals: &[Vec<Visual>], margin: f64) -> Self {
         let mut obstacles = Self::none(kinematics);
         for (own, visuals) in obstacles.shapes.iter_mut().zip(visuals) {
@@ -174,7 +175,7 @@ impl Obstacles {
         Self { floor: Some((up, height)), ..self }
     }
 
-    /// The same with every part, and the floor, larger by `clearance` (m) on every side.
+    /// The same with every part, and the floor, enlarged by `clearance` (m) on every side.
     #[must_use]
     pub fn grown(&self, clearance: f64) -> Self {
         Self {
@@ -196,7 +197,7 @@ impl Obstacles {
         &self.names
     }
 
-    /// The end of the beam at the reflector that nothing is asked to leave free, m: where the ball and its seat are.
+    /// Length at the reflector's end of the beam that need not be free, m: where the ball and its seat are.
     #[must_use]
     pub fn with_standoff(self, standoff: f64) -> Self {
         Self { standoff, ..self }
@@ -212,7 +213,7 @@ impl Obstacles {
         self.chain.is_some()
     }
 
-    /// Links without any shape, by name: nothing of them hides a target.
+    /// Links without any shape, by name: they hide nothing.
     pub fn without_shape(&self) -> impl Iterator<Item = &str> {
         let bare = |(name, own): (_, &Vec<Placed>)| own.is_empty().then_some(name);
         self.names.iter().map(String::as_str).zip(&self.shapes).filter_map(bare)
@@ -244,7 +245,7 @@ impl Obstacles {
 
     /// Whether a tracker that stands at `base_from_tracker` sees a reflector of a machine at a pose.
     ///
-    /// What the tracker cannot point at is looked at first, then the reflector's opening, then floor and links. A shape that holds the reflector's
+    /// The tracker's angles and range are checked first, then the reflector's opening, then floor and links. A shape that contains the reflector's
     /// centre is its seat and hides nothing.
     ///
     /// # Errors
@@ -315,7 +316,7 @@ impl Obstacles {
         }
     }
 
-    /// The same for a robot at joint variables (rad or m, one a joint), with nothing that yields: what a planner asks.
+    /// The same for a rigid robot at joint variables (rad or m, one per joint), for planning.
     ///
     /// # Errors
     ///

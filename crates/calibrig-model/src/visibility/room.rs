@@ -1,4 +1,4 @@
-//! Whether a robot touches itself or goes below a plane, asked of the nominal one.
+//! Whether the nominal robot touches itself or goes below a plane.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -19,11 +19,12 @@ pub struct Room<'a> {
     pub obstacles: &'a Obstacles,
     /// The target in the flange frame, m.
     pub target: Vector3<f64>,
-    /// Planes that nothing goes below: the direction up from each, in the base frame, and its height along it from the base's origin, m.
+    /// Planes that nothing may go below: the direction up from each, in the base frame, and its height along it from the base's origin,
+    /// m.
     pub planes: &'a [(UnitVector3<f64>, f64)],
 }
 
-/// What touches whatever the pose, by the way the robot is built or described, and tells nothing.
+/// Contacts at every pose, due to how the robot is built or described; they are ignored.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Built {
     /// Parts of the robot that touch each other: 0 is the base, then the number of the joint.
@@ -41,7 +42,7 @@ pub enum Contact {
     Below([usize; 2]),
 }
 
-/// Part of the surveyed poses in which parts that touch do so by the way they are built.
+/// Share of the surveyed poses from which on a contact counts as due to how the robot is built.
 const BY_BUILD: f64 = 0.95;
 /// Radius about the target that is kept above the planes, m: a reflector and a hand.
 const TARGET_RADIUS: f64 = 0.05;
@@ -71,7 +72,7 @@ impl Room<'_> {
         self.place(&stance_at(self.kinematics, joints).1)
     }
 
-    /// All that touches at a pose: pairs of parts that are no neighbours, and parts below planes.
+    /// All contacts at a pose: pairs of parts that are not neighbours, and parts below planes.
     fn contacts(&self, joints: &[f64]) -> Built {
         let parts = self.parts(joints);
         let mut found = Built::default();
@@ -89,7 +90,7 @@ impl Room<'_> {
         found
     }
 
-    /// What touches in nearly all of `poses` (joint variables).
+    /// The contacts in nearly all of `poses` (joint variables).
     pub fn survey(&self, poses: &[Vec<f64>]) -> Built {
         let (mut pairs, mut below) = (BTreeMap::new(), BTreeMap::new());
         for joints in poses {
@@ -104,14 +105,14 @@ impl Room<'_> {
         Built { pairs: by_build(pairs), below: by_build(below) }
     }
 
-    /// The first thing that touches at joint variables and does not do so by build.
+    /// The first contact at joint variables that is not due to how the robot is built.
     pub fn contact(&self, joints: &[f64], built: &Built) -> Option<Contact> {
         let found = self.contacts(joints);
         let below = found.below.difference(&built.below).next().copied().map(Contact::Below);
         below.or_else(|| found.pairs.difference(&built.pairs).next().copied().map(Contact::Parts))
     }
 
-    /// Whether nothing touches at joint variables but what does so by build.
+    /// Whether there is no contact at joint variables except those due to how the robot is built.
     pub fn is_clear(&self, joints: &[f64], built: &Built) -> bool {
         let found = self.contacts(joints);
         found.pairs.is_subset(&built.pairs) && found.below.is_subset(&built.below)

@@ -21,7 +21,7 @@ impl Placed {
         own.grown(margin)
     }
 
-    /// The same, larger by so much (m) on every side.
+    /// The same, enlarged by so much (m) on every side.
     pub(super) fn grown(&self, margin: f64) -> Self {
         let shape = match self.shape {
             VisualShape::Box(edges) => VisualShape::Box(edges.map(|edge| edge + 2.0 * margin)),
@@ -106,7 +106,7 @@ pub(super) fn distance_of_segments(a: [&Vector3<f64>; 2], b: [&Vector3<f64>; 2])
     let (ca, cb) = (along_a.dot(&between), along_b.dot(&between));
     let parallel = aa * bb - ab * ab;
     let free = if parallel > 0.0 { ((ab * cb - ca * bb) / parallel).clamp(0.0, 1.0) } else { 0.0 };
-    // Where the nearest point of the other line is beyond its end, the nearest of this one is that of the end.
+    // If the nearest point of the other line is beyond its end, the nearest of this one is that to the end.
     let other = if bb > 0.0 { ((ab * free + cb) / bb).clamp(0.0, 1.0) } else { 0.0 };
     let own = if aa > 0.0 { ((ab * other - ca) / aa).clamp(0.0, 1.0) } else { 0.0 };
     (a[0] + along_a * own - b[0] - along_b * other).norm()

@@ -82,7 +82,7 @@ fn what_a_tracker_and_a_reflector_cannot_do_is_said() {
     assert_eq!(look(from(4.0, 0.0, 0.0), opening(0.3)), "2.000 0.000 0.300");
     assert_eq!(
         look(from(4.0, 0.0, 0.0), opening(-0.6)),
-        "the beam meets the target at 34.4 deg from where its opening points, which is more than the 28.6 deg that come back"
+        "the beam meets the target at 34.4 deg from the axis of its opening, more than the 28.6 deg up to which it is returned"
     );
     let few = obstacles.look_at_joints(&from(4.0, 0.0, 0.0), &reach, &kinematics, &[0.0], &SMR);
     assert_eq!(few, Err(Hidden::NoPose { found: 1, expected: 2 }));

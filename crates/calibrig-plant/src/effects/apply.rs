@@ -8,45 +8,45 @@ use crate::{AsBuilt, SettledPose};
 use calibrig_model::JointKind;
 use calibrig_model::geometry::rotation_z;
 
-/// Where the drives stand between two poses: what the next pose remembers of the way to it. One entry an actuator.
+/// State of the drives between two poses: what the next pose remembers of the way to it. One entry per actuator.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DriveState {
     /// Position of the motor, m or rad.
     pub motor: Vec<f64>,
-    /// How far the driven side stands ahead of the motor within its play, m or rad.
+    /// How far the driven side is ahead of the motor within its play, m or rad.
     pub ahead: Vec<f64>,
     /// The same within its lost motion under load.
     pub flank: Vec<f64>,
     /// Friction force as a share of its limit.
     pub friction: Vec<f64>,
-    /// What the drives have heated.
+    /// The heat of the drives.
     pub warmth: Warmth,
 }
 
-/// A pose as the controller asks for it.
+/// A pose as commanded by the controller.
 #[derive(Debug, Clone, Copy)]
 pub struct Commanded<'a> {
-    /// One entry an actuator, m or rad.
+    /// One entry per actuator, m or rad.
     pub command: &'a [f64],
     /// Since the session began, s.
     pub time: f64,
-    /// Load of every drive (N or N m), above zero where it pushes the driven side ahead, where an effect depends on it; else empty.
+    /// Load of every drive (N or N m), above zero if it pushes the driven side ahead; empty if no effect depends on it.
     pub load: &'a [f64],
 }
 
-/// What the effects make of a pose.
+/// The result of all effects at a pose.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PoseEffects {
-    /// Where the actuators really are, without their elasticity, m or rad.
+    /// The actuators' real positions, without their elasticity, m or rad.
     pub command: Vec<f64>,
     /// Displacement of every link's frame: along its x, y, z (m), about them (rad).
     pub displacements: Vec<[f64; 6]>,
-    /// Of the air, °C, where the machine feels it.
+    /// Of the air, °C, where the machine is.
     pub temperature: Option<f64>,
 }
 
 impl AsBuilt {
-    /// Refuses effects whose numbers make no machine, also in a session of `duration` s.
+    /// Refuses effects with invalid numbers, also for a session of `duration` s.
     pub fn check_effects(&self, duration: f64) -> Result<(), EffectError> {
         self.effects.check(self.kinematics.joint_count(), self.actuators.four_bar().is_some())?;
         if let Some(lost_motion) = &self.effects.lost_motion {
@@ -55,7 +55,7 @@ impl AsBuilt {
         self.effects.thermal.as_ref().map_or(Ok(()), |thermal| thermal.check_session(duration))
     }
 
-    /// At rest at a command, with the play in its middle and the friction relaxed, as after referencing.
+    /// At rest at a command, with the play centred and the friction relaxed, as after referencing.
     pub fn referenced_at(&self, command: &[f64]) -> DriveState {
         let nothing = vec![0.0; command.len()];
         DriveState {
@@ -67,7 +67,8 @@ impl AsBuilt {
         }
     }
 
-    /// What the load on a drive is with its deflection, where its stiffness rises; `None` of a linear or a rigid one.
+    /// Load on a drive as a function of its deflection, if its stiffness increases; `None` for a linear or a rigid
+    /// drive.
     pub(crate) fn curve(&self, joint: usize) -> Option<&StiffnessCurve> {
         let curve = self.effects.stiffening.as_ref()?.actuators.get(joint)?.as_ref()?;
         self.statics.drive_stiffness.get(joint)?.is_finite().then_some(curve)
@@ -84,8 +85,8 @@ impl AsBuilt {
         drives.map(load).collect()
     }
 
-    /// The stiffness of a linear drive that would deflect as far under the mean load of `session`, N/m or N m/rad: the drive's own, and of one that stiffens
-    /// the secant at the mean of the load's size. `None` where there is no such drive, or nothing to tell the load of one that stiffens.
+    /// The stiffness of a linear drive that would deflect as far under the mean load of `session`, N/m or N m/rad: the drive's own or, for a
+    /// stiffening one, the secant at the mean size of the load. `None` if there is no such drive, or its load is unknown.
     pub fn secant_stiffness(&self, joint: usize, session: &[SettledPose]) -> Option<f64> {
         let stiffness = *self.statics.drive_stiffness.get(joint)?;
         let Some(curve) = self.curve(joint) else { return Some(stiffness) };
@@ -97,7 +98,8 @@ impl AsBuilt {
         mean.is_finite().then(|| curve.secant(stiffness, mean))
     }
 
-    /// What the weights and forces behind each drive can load it with at most, N or N m: with all of them as far from its axis as the links reach.
+    /// Upper bound on the load of each drive by the weights and forces behind it, N or N m: with all of them as far from its axis as the links
+    /// reach.
     fn greatest_loads(&self) -> Vec<f64> {
         let (links, statics) = (&self.kinematics.links, &self.statics);
         let mut rotation = self.kinematics.base_from_first.rotation;
@@ -105,7 +107,7 @@ impl AsBuilt {
         let of_drive = |joint: usize| {
             let link = &links[joint];
             rotation *= link.fixed_part().rotation;
-            // Only joints in front that turn can bring gravity to work on an axis that it does not work on now.
+            // Only turning joints in front can bring gravity to act on an axis on which it does not act now.
             let along = rotation.inverse() * statics.gravity;
             let gravity = match link.kind {
                 _ if turned => along.norm(),
@@ -134,7 +136,7 @@ impl AsBuilt {
         (0..links.len()).map(of_drive).collect()
     }
 
-    /// What crank and rod of the four-bar load a drive in front of them, or the crank's own, with at most, N or N m.
+    /// Upper bound on the load of crank and rod on a drive in front of them, or on the crank's own drive, N or N m.
     fn linkage_load(&self, joint: usize, gravity: f64) -> f64 {
         match (self.actuators.four_bar(), &self.statics.linkage) {
             (Some((shoulder, elbow, _, bars)), Some(statics)) if joint <= shoulder || joint == elbow => {
@@ -147,7 +149,7 @@ impl AsBuilt {
         }
     }
 
-    /// The effects at a pose that is approached from `before`, and where the drives then stand.
+    /// The effects at a pose that is approached from `before`, and the drives' state afterwards.
     ///
     /// `rng` is the pose's own. The effects must have passed [`check_effects`](Self::check_effects).
     pub fn pose_effects(
@@ -173,7 +175,7 @@ impl AsBuilt {
         command.iter().enumerate().map(|(actuator, command)| encoder.motor(actuator, *command)).collect()
     }
 
-    /// How warm the drives have made the machine, and where its motors are, behind a motion to a command that ends at `time` s.
+    /// The drives' heat and the motors' positions after a motion to a command that ends at `time` s.
     pub(crate) fn warmed(&self, before: &DriveState, command: &[f64], time: f64) -> DriveState {
         let mut state = DriveState { motor: self.motors(command), ..before.clone() };
         if let Some(thermal) = self.effects.thermal.as_ref().filter(|thermal| thermal.is_heated()) {
@@ -203,7 +205,7 @@ impl AsBuilt {
         state
     }
 
-    /// Where the driven sides are.
+    /// Positions of the driven sides.
     fn driven(&self, state: &DriveState, load: &[f64]) -> Vec<f64> {
         let effects = &self.effects;
         let position = |(actuator, &motor): (usize, &f64)| {
@@ -235,7 +237,7 @@ impl AsBuilt {
         state.motor.iter().enumerate().map(position).collect()
     }
 
-    /// Displacements of the links' frames. A rod that grows turns the crank of `command` instead.
+    /// Displacements of the links' frames. A growing rod turns the crank of `command` instead.
     fn displacements(&self, command: &mut [f64], warmth: &Warmth, time: f64) -> Vec<[f64; 6]> {
         let mut displacements = vec![[0.0; 6]; command.len()];
         if let Some(rail) = &self.effects.rail {
@@ -256,8 +258,8 @@ impl AsBuilt {
         displacements
     }
 
-    /// Turns the crank by as much as brings its end nearer to the lever's as the rod would have grown: to first order the same, at the elbow
-    /// of the exact parallelogram.
+    /// Turns the crank so that its end comes as much nearer to the lever's as the rod would have grown: the same to first order, at the
+    /// elbow of the exact parallelogram.
     fn grow_rod(&self, strain: f64, command: &mut [f64]) {
         let Some((shoulder, elbow, offset, linkage)) = self.actuators.four_bar() else { return };
         let mut positions = command.to_vec();

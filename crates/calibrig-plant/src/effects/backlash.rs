@@ -6,7 +6,7 @@ use super::{EffectError, EffectKind};
 /// Backlash of every actuator.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Backlash {
-    /// Whole gap between the flanks, one entry an actuator, m or rad.
+    /// Whole gap between the flanks, one entry per actuator, m or rad.
     pub gap: Vec<f64>,
 }
 
@@ -15,7 +15,7 @@ impl Backlash {
         check_all(EffectKind::Backlash, "gap", &self.gap, actuators, Range::NotNegative)
     }
 
-    /// How far the driven side stands ahead of the motor after a motion of the motor (m or rad), from how far it stood before it: the play
+    /// How far the driven side is ahead of the motor after a motion of the motor (m or rad), given how far it was before: the play
     /// operator of M. A. Krasnosel'skii, A. V. Pokrovskii, Systems with Hysteresis (1989), section 2.
     pub fn ahead_after(&self, actuator: usize, ahead: f64, motion: f64) -> f64 {
         let half = 0.5 * self.gap[actuator];

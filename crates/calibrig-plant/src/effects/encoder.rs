@@ -1,4 +1,4 @@
-//! What the motors' encoders tell.
+//! Readings of the motors' encoders.
 
 use super::error::{Range, check_all};
 use super::{EffectError, EffectKind};
@@ -6,7 +6,7 @@ use super::{EffectError, EffectKind};
 /// Encoders with a step and an offset. The servo brings the motor to where the reading is nearest to the command.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Encoder {
-    /// Step at the actuator, one entry an actuator, m or rad; zero for none.
+    /// Step at the actuator, one entry per actuator, m or rad; zero for none.
     pub step: Vec<f64>,
     /// Position of the motor at reading zero, m or rad.
     pub offset: Vec<f64>,

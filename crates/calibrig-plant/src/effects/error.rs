@@ -1,15 +1,15 @@
-//! Refusals of effects whose numbers make no machine.
+//! Errors for effects with invalid numbers.
 
 use thiserror::Error;
 
 use super::EffectKind;
 
-/// An effect that cannot be.
+/// An invalid effect.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum EffectError {
-    /// Not one entry an actuator.
-    #[error("{}: {found} entries for {expected} actuators", effect.key())]
+    /// Not one entry per actuator.
+    #[error("{}: {found} entries for {expected} actuators: expected one per actuator", effect.key())]
     Length {
         /// Which.
         effect: EffectKind,
@@ -19,7 +19,7 @@ pub enum EffectError {
         found: usize,
     },
     /// A number out of its range.
-    #[error("{}: {quantity} of index {index} is {value}, {expected} was expected", effect.key())]
+    #[error("{}: {quantity} of index {index} is {value}: expected {expected}", effect.key())]
     Value {
         /// Which.
         effect: EffectKind,
@@ -37,13 +37,13 @@ pub enum EffectError {
     NoSuchPart {
         /// Which.
         effect: EffectKind,
-        /// What it lacks.
+        /// The missing part.
         part: &'static str,
     },
-    /// Load ranges that do not belong together.
+    /// Load ranges that are inconsistent.
     #[error(
-        "stiffening: {factors} stiffnesses and {limits} ends of load ranges of index {actuator}, at least 2 stiffnesses and one end less \
-         were expected"
+        "stiffening: {factors} stiffnesses and {limits} ends of load ranges of index {actuator}: expected at least 2 \
+         stiffnesses and one end less"
     )]
     Ranges {
         /// Of which actuator.
@@ -53,24 +53,24 @@ pub enum EffectError {
         /// Number of ends.
         limits: usize,
     },
-    /// A gap between flanks that the load never bridges.
+    /// A gap between flanks that no load of the drive closes.
     #[error(
-        "lost_motion: the gap of index {actuator} closes under {closes_at} (N or N m), and all that this drive carries loads it with \
-         {greatest:.3} at most"
+        "lost_motion: the gap of index {actuator} closes at a load of {closes_at} (N or N m), but this drive carries at most \
+         {greatest:.3}: expected a closing load below that"
     )]
     NeverCloses {
         /// Of which actuator.
         actuator: usize,
         /// m or rad
         gap: f64,
-        /// Load from which the load decides, N or N m.
+        /// Load at which the gap is closed, N or N m.
         closes_at: f64,
-        /// No load is greater, N or N m.
+        /// Greatest load of the drive, N or N m.
         greatest: f64,
     },
     /// A part that its drive would overheat.
     #[error(
-        "thermal: drive {actuator} warms its part by {value:.1} K within {time:.0} s, at most {} K was expected",
+        "thermal: drive {actuator} warms its part by {value:.1} K within {time:.0} s: expected at most {} K",
         super::MOST_RISE
     )]
     Overheated {
@@ -81,9 +81,9 @@ pub enum EffectError {
         /// K
         value: f64,
     },
-    /// The air gets out of range during the session.
+    /// The air leaves its range during the session.
     #[error(
-        "thermal: the ambient temperature leaves {} to {} degC within {duration} s ({value:.1} degC)",
+        "thermal: the air temperature leaves {} to {} degC within {duration} s ({value:.1} degC): expected it to stay within",
         super::AMBIENT_RANGE[0], super::AMBIENT_RANGE[1]
     )]
     Temperature {
@@ -134,7 +134,7 @@ pub(super) fn check(
     Err(EffectError::Value { effect, quantity, index, value, expected: range.words() })
 }
 
-/// Refuses a list that is not one value in `range` an actuator.
+/// Refuses a list unless it has one value in `range` per actuator.
 pub(super) fn check_all(
     effect: EffectKind,
     quantity: &'static str,
@@ -146,7 +146,7 @@ pub(super) fn check_all(
     values.iter().enumerate().try_for_each(|(index, &value)| check(effect, (quantity, index), value, range))
 }
 
-/// Refuses a list that is not one entry an actuator.
+/// Refuses a list unless it has one entry per actuator.
 pub(super) fn check_length(effect: EffectKind, found: usize, expected: usize) -> Result<(), EffectError> {
     if found == expected { Ok(()) } else { Err(EffectError::Length { effect, expected, found }) }
 }

@@ -6,14 +6,14 @@ use super::error::{Range, check};
 use super::{EffectError, EffectKind};
 use calibrig_model::SixStiffness;
 
-/// The base on an elastic foundation: it sinks and tilts as carriage and arm move. The base frame is where it would stand without a load.
+/// The base on an elastic foundation: it sinks and tilts as carriage and arm move. The base frame is its position without a load.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Foundation {
     /// Point of the base frame about which it tilts, m.
     pub at: Vector3<f64>,
-    /// Along and about the base's axes at that point, N/m and N m/rad; infinite where it does not yield.
+    /// Along and about the base's axes at that point, N/m and N m/rad; infinite if rigid.
     pub stiffness: SixStiffness,
-    /// The rail that the robot rides on.
+    /// The rail that carries the robot.
     pub rail: Option<RailSpan>,
 }
 
@@ -31,11 +31,11 @@ pub struct RailSpan {
     pub compliance: [f64; 2],
 }
 
-/// A rail right above a foot, where its carriage does not yield either, N/m: a thousand tonnes sink by 10 nm.
+/// Stiffness of a rail right above a foot, where its carriage is rigid too, N/m: a thousand tonnes sink by 10 nm.
 const ABOVE_FOOT: f64 = 1e15;
 
 impl RailSpan {
-    /// The stiffness of the carriage's bearing along x and y, given without the rail, in series with that of the rail below it.
+    /// The stiffness of the carriage's bearing along x and y (given without the rail) in series with that of the rail below it.
     pub(crate) fn carry(&self, position: f64, bearing: &mut SixStiffness) {
         let from_foot = (position - self.first_foot).rem_euclid(self.span) / self.span;
         // Of a load at a with b to the other foot: a³ b³ / (3 EI l³), with its largest value, l³ / (192 EI), as one.
@@ -52,7 +52,7 @@ impl Foundation {
     pub(super) fn check(&self, actuators: usize) -> Result<(), EffectError> {
         let kind = EffectKind::Foundation;
         for (axis, &stiffness) in self.stiffness.iter().enumerate() {
-            // Infinity passes: it does not yield.
+            // Infinity is accepted: it is rigid.
             if stiffness != f64::INFINITY {
                 check(kind, ("stiffness", axis), stiffness, Range::Positive)?;
             }

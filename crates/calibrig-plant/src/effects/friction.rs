@@ -1,4 +1,4 @@
-//! Friction behind elastic drives: where the machine comes to rest depends on how it came.
+//! Friction behind elastic drives: the place at which the machine comes to rest depends on the way there.
 
 use super::error::{Range, check_all};
 use super::{EffectError, EffectKind};
@@ -6,14 +6,15 @@ use super::{EffectError, EffectKind};
 /// Coulomb friction of every joint with a presliding range.
 ///
 /// The friction force follows P. R. Dahl, A Solid Friction Model, Aerospace Corporation TOR-0158(3107-18)-1 (1968), with exponent 1.
-/// As it grows with the load, and after a short motion is not yet at its limit, no multiple of the approach's sign contains it.
+/// It grows with the load, and has not reached its limit after a short motion, so that no multiple of the approach's sign contains
+/// it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Friction {
-    /// Part that does not depend on the load, one entry an actuator, N or N m.
+    /// Part that does not depend on the load, one entry per actuator, N or N m.
     pub constant: Vec<f64>,
     /// Share of the drive's load.
     pub per_load: Vec<f64>,
-    /// Motion in which 1 - 1/e of the force builds up, m or rad; zero for a force that is there at once.
+    /// Motion in which 1 - 1/e of the force builds up, m or rad; zero for a force that acts at once.
     pub presliding: Vec<f64>,
 }
 
@@ -34,7 +35,7 @@ impl Friction {
         self.per_load.iter().any(|share| *share > 0.0)
     }
 
-    /// What the drive of `stiffness` (N/m or N m/rad) stays behind after any motion, m or rad; `None` where that depends on load or motion.
+    /// How far the drive of `stiffness` (N/m or N m/rad) stays behind after any motion, m or rad; `None` if that depends on load or motion.
     pub fn lag(&self, actuator: usize, stiffness: f64) -> Option<f64> {
         let (constant, per_load) = (*self.constant.get(actuator)?, *self.per_load.get(actuator)?);
         let is_constant = per_load == 0.0 && (*self.presliding.get(actuator)? == 0.0 || constant == 0.0);
@@ -51,7 +52,8 @@ impl Friction {
         if length == 0.0 { limit } else { limit + (share - limit) * (-motion.abs() / length).exp() }
     }
 
-    /// What friction takes off the load of the drive under `load` (N or N m), N or N m: against the motion, so that it stays behind.
+    /// Force by which friction reduces the load of the drive under `load` (N or N m), N or N m: against the motion, so that the
+    /// drive stays behind.
     pub fn force(&self, actuator: usize, share: f64, load: f64) -> f64 {
         let limit = self.constant[actuator] + self.per_load[actuator] * load.abs();
         -share * limit

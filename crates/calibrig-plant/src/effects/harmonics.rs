@@ -17,7 +17,7 @@ pub struct Harmonic {
 }
 
 impl Harmonic {
-    /// What the actuator is off by at its position `motor` (m or rad), m or rad.
+    /// Error of the actuator at its position `motor` (m or rad), m or rad.
     pub fn error(&self, motor: f64) -> f64 {
         let turned = TAU * self.turns * motor;
         self.amplitude[0] * (turned + self.phase[0]).sin()
@@ -25,10 +25,10 @@ impl Harmonic {
     }
 }
 
-/// Transmission harmonics of every actuator; `None` where there are none.
+/// Transmission harmonics of every actuator; `None` for none.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Harmonics {
-    /// One entry an actuator.
+    /// One entry per actuator.
     pub actuators: Vec<Option<Harmonic>>,
 }
 

@@ -5,8 +5,8 @@ use nalgebra::Vector3;
 use super::error::{Range, check};
 use super::{EffectError, EffectKind};
 
-/// A hose between two anchors: stretched beyond its free length it pulls them together in proportion; shorter than that it hangs and pulls nothing.
-/// Anchors off the axes between them make it a moment about these that depends on the joints. It weighs nothing.
+/// A hose between two anchors: stretched beyond its free length it pulls them together in proportion to the stretch; when shorter it hangs loose.
+/// If the anchors are off the axes between them, it applies a moment about these that depends on the joints. It has no weight.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Hose {
     /// Its anchors.
@@ -20,7 +20,7 @@ pub struct Hose {
 /// A point of a link or of the ground.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Anchor {
-    /// Index of the link; none: the ground.
+    /// Index of the link; none for the ground.
     pub link: Option<usize>,
     /// In the link's frame, or in the base frame, m.
     pub at: Vector3<f64>,
@@ -34,7 +34,7 @@ pub struct Hoses {
 }
 
 impl Hose {
-    /// Tension at a length, N, and what a metre more of it adds, N/m.
+    /// Tension at a length, N, and its derivative, N/m.
     pub(crate) fn tension(&self, length: f64) -> (f64, f64) {
         let stretch = length - self.free_length;
         if stretch > 0.0 { (self.stiffness * stretch, self.stiffness) } else { (0.0, 0.0) }
@@ -46,7 +46,7 @@ impl Hoses {
         let kind = EffectKind::Hoses;
         for (index, hose) in self.hoses.iter().enumerate() {
             check(kind, ("stiffness", index), hose.stiffness, Range::Positive)?;
-            // A spring of no length has no direction where it ends in itself.
+            // A spring of length zero has no direction if it ends at its own start.
             check(kind, ("free length", index), hose.free_length, Range::Positive)?;
             for Anchor { link, at } in hose.ends {
                 at.iter().try_for_each(|at| check(kind, ("anchor", index), *at, Range::Finite))?;

@@ -1,25 +1,25 @@
-//! Lost motion of gears whose loaded flank is decided by the load, where it is large enough, and not by the approach.
+//! Lost motion of gears in which the load, if large enough, decides the flank, rather than the approach.
 
 use super::error::{Range, check, check_all};
 use super::{EffectError, EffectKind};
 
 /// Play under load.
 ///
-/// Below the friction of what is driven the gear stays on the flank that it came with, as with [`Backlash`](super::Backlash). A load beyond it
-/// carries the driven side over to the flank that bears the load, from whichever side the pose was approached. In between, where
-/// some teeth bear and others do not, it goes over in proportion.
+/// Below the friction of the driven side the gear stays on the flank on which it came, as with [`Backlash`](super::Backlash). A load beyond it
+/// moves the driven side to the flank that bears the load, from whichever side the pose was approached. In between, where some teeth bear and
+/// others do not, it moves over in proportion.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LostMotion {
-    /// Whole gap between the flanks, one entry an actuator, m or rad.
+    /// Whole gap between the flanks, one entry per actuator, m or rad.
     pub gap: Vec<f64>,
     /// Load up to which the approach decides, N or N m.
     pub friction: Vec<f64>,
-    /// Load from which the load decides, N or N m: not below the friction, and above zero where there is a gap. Equal to it, the transition is sharp.
+    /// Load from which the load decides, N or N m: at least the friction, and above zero if there is a gap. If equal to it, the transition is sharp.
     pub closes_at: Vec<f64>,
 }
 
 impl LostMotion {
-    /// `greatest` is no less than the load that each drive can have, N or N m.
+    /// `greatest` is at least the load that each drive can have, N or N m.
     pub(super) fn check(&self, greatest: &[f64]) -> Result<(), EffectError> {
         let kind = EffectKind::LostMotion;
         for (quantity, values) in
@@ -47,8 +47,8 @@ impl LostMotion {
         Ok(())
     }
 
-    /// How far the driven side stands ahead of the motor after a motion of the motor (m or rad) that ends under `load` (N or N m, above zero where it
-    /// pushes the driven side ahead), from how far it stood before.
+    /// How far the driven side is ahead of the motor after a motion of the motor (m or rad) that ends under `load` (N or N m, above zero if it pushes
+    /// the driven side ahead), given how far it was before.
     pub fn ahead_after(&self, actuator: usize, ahead: f64, motion: f64, load: f64) -> f64 {
         let half = 0.5 * self.gap[actuator];
         let carried = (ahead - motion).clamp(-half, half);
@@ -56,7 +56,7 @@ impl LostMotion {
         carried + share * (half.copysign(load) - carried)
     }
 
-    /// Share of the way to the loaded flank that the load takes the driven side, 0 to 1.
+    /// Share of the way to the loaded flank that the load moves the driven side, 0 to 1.
     fn closed(&self, actuator: usize, load: f64) -> f64 {
         let beyond = load.abs() - self.friction[actuator];
         let width = self.closes_at[actuator] - self.friction[actuator];

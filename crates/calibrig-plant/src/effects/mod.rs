@@ -1,7 +1,7 @@
-//! What a real machine does beside its geometry and its elasticity, one file an effect. Each is off by default.
+//! Errors of a real machine besides geometry and elasticity, one file per effect. Each is off by default.
 //!
-//! All effects are pure functions. What depends on the way to a pose takes the [`DriveState`] that was left behind and returns the new
-//! one; what is drawn comes from the stream that is given.
+//! All effects are pure functions. Those that depend on the way to a pose take the previous [`DriveState`] and return the new one;
+//! random ones draw from the given stream.
 
 mod apply;
 mod backlash;
@@ -125,7 +125,7 @@ impl EffectKind {
         }
     }
 
-    /// What it is, in one line.
+    /// A description in one line.
     pub fn about(self) -> &'static str {
         match self {
             Self::Harmonics => "errors of the transmissions once and twice per motor turn",
@@ -135,16 +135,16 @@ impl EffectKind {
             Self::Transmission => {
                 "waves of meshing gears, cycloid pins and screws along the output, which grow with the load"
             }
-            Self::LostMotion => "play of gears whose flank the load decides, where it exceeds the friction",
+            Self::LostMotion => "play of gears where the load decides the flank, once it exceeds the friction",
             Self::Stiffening => "drives that get stiffer with their load, range by range",
             Self::Friction => {
                 "hysteresis from friction that grows with the load and builds up over a presliding length"
             }
             Self::Encoder => "quantisation and offset of the encoders",
             Self::Thermal => {
-                "growth of the links as they follow the air's temperature and are heated by their drives"
+                "growth of the links with the temperature of the air and the heat of their drives"
             }
-            Self::Repeatability => "random errors that every approach draws anew",
+            Self::Repeatability => "random errors, drawn anew at every approach",
             Self::Foundation => {
                 "a floor that sinks and tilts under the loads, and a rail that bends between its feet"
             }
@@ -153,7 +153,7 @@ impl EffectKind {
     }
 }
 
-/// The non-geometric errors of a machine; `None` where there are none of a kind.
+/// The non-geometric errors of a machine; `None` for kinds that it does not have.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Effects {
     /// Once and twice per motor turn.
@@ -170,7 +170,7 @@ pub struct Effects {
     pub lost_motion: Option<LostMotion>,
     /// Hysteresis.
     pub friction: Option<Friction>,
-    /// Stiffness that rises with the load.
+    /// Stiffness that increases with the load.
     pub stiffening: Option<Stiffening>,
     /// Quantisation and offset.
     pub encoder: Option<Encoder>,
@@ -185,7 +185,7 @@ pub struct Effects {
 }
 
 impl Effects {
-    /// Whether an effect is there.
+    /// Whether it has an effect.
     pub fn has(&self, kind: EffectKind) -> bool {
         match kind {
             EffectKind::Harmonics => self.harmonics.is_some(),
@@ -204,7 +204,7 @@ impl Effects {
         }
     }
 
-    /// The effects that are there, in the order in which they act.
+    /// Its effects, in the order in which they act.
     pub fn active(&self) -> Vec<EffectKind> {
         EffectKind::ALL.into_iter().filter(|kind| self.has(*kind)).collect()
     }
@@ -231,15 +231,15 @@ impl Effects {
         rest
     }
 
-    /// Whether what they do depends on the loads of the drives.
+    /// Whether some effect depends on the loads of the drives.
     pub fn need_load(&self) -> bool {
         self.lost_motion.is_some()
             || self.friction.as_ref().is_some_and(Friction::needs_load)
             || self.transmission.as_ref().is_some_and(Transmission::needs_load)
     }
 
-    /// Refuses numbers that make no machine of `actuators` actuators. Of those that depend on the robot, [`AsBuilt::check_effects`](crate::AsBuilt::check_effects) refuses
-    /// what it cannot have.
+    /// Refuses numbers that are invalid for `actuators` actuators. [`AsBuilt::check_effects`](crate::AsBuilt::check_effects) checks what depends on
+    /// the robot.
     pub fn check(&self, actuators: usize, has_rod: bool) -> Result<(), EffectError> {
         if let Some(effect) = &self.harmonics {
             effect.check(actuators)?;
@@ -277,7 +277,7 @@ impl Effects {
         self.check_statics(actuators)
     }
 
-    /// Refuses what of them is part of the statics and makes no machine of `actuators` links.
+    /// Refuses effects on the statics that are invalid for `actuators` links.
     pub(crate) fn check_statics(&self, actuators: usize) -> Result<(), EffectError> {
         if let Some(effect) = &self.foundation {
             effect.check(actuators)?;

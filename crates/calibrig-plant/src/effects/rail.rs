@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 use super::error::{Range, check};
 use super::{EffectError, EffectKind};
 
-/// One error along a rail: a polynomial and a wave. The wave is too short for a low-order polynomial to contain it.
+/// One error along a rail: a polynomial and a wave. The wave is too short to be contained in a low-order polynomial.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct RailProfile {
     /// Coefficients of 1, x, x², ... with x from -1 at the beginning of the rail to 1 at its end, m or rad.
@@ -30,7 +30,7 @@ impl RailProfile {
 pub struct Rail {
     /// Index of the joint.
     pub joint: usize,
-    /// Where it begins and ends, m.
+    /// Its beginning and end, m.
     pub range: [f64; 2],
     /// Length of the waves, m.
     pub wavelength: f64,

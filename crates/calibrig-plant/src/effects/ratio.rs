@@ -1,4 +1,4 @@
-//! A gear ratio or a rail's pitch that is not as drawn.
+//! A gear ratio or a rail's pitch that differs from the drawing.
 
 use super::error::{Range, check_all};
 use super::{EffectError, EffectKind};
@@ -6,7 +6,7 @@ use super::{EffectError, EffectKind};
 /// Relative errors of the transmissions.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Ratio {
-    /// One entry an actuator: the machine moves by (1 + this) of what the motor's encoder tells, counted from position zero.
+    /// One entry per actuator: the machine moves by (1 + this) times the encoder's reading, counted from position zero.
     pub relative: Vec<f64>,
 }
 
@@ -15,7 +15,7 @@ impl Ratio {
         check_all(EffectKind::Ratio, "relative error", &self.relative, actuators, Range::Finite)
     }
 
-    /// What the actuator is off by at its position `motor`, m or rad.
+    /// Error of the actuator at its position `motor`, m or rad.
     pub(super) fn error(&self, actuator: usize, motor: f64) -> f64 {
         self.relative[actuator] * motor
     }

@@ -1,4 +1,4 @@
-//! What differs when the same pose is approached again in the same way.
+//! Differences between repeated approaches of the same pose.
 
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -9,7 +9,7 @@ use super::{EffectError, EffectKind};
 /// Unidirectional repeatability: independent normal errors, drawn anew for every pose and actuator.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Repeatability {
-    /// Standard deviation, one entry an actuator, m or rad.
+    /// Standard deviation, one entry per actuator, m or rad.
     pub sigma: Vec<f64>,
 }
 

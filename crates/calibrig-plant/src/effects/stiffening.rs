@@ -3,13 +3,13 @@
 use super::error::{Range, check, check_length};
 use super::{EffectError, EffectKind};
 
-/// Deflection against load as makers of gears state it: a stiffness K1 up to a load T1, K2 from there to T2, K3 beyond. It is odd, so that both directions
-/// of the load are alike. Source: Harmonic Drive AG, Engineering Data, "Torsional stiffness", where the ranges have these names.
+/// Deflection against load as gear makers state it: a stiffness K1 up to a load T1, K2 from there to T2, K3 beyond. It is odd: the same for both
+/// directions of the load. Source: Harmonic Drive AG, Engineering Data, "Torsional stiffness", where the ranges have these names.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StiffnessCurve {
     /// K1, K2, ... over the drive's stiffness without this effect: above zero, each greater than the one before.
     pub factors: Vec<f64>,
-    /// T1, T2, ..., N or N m: one less, each greater than the one before.
+    /// T1, T2, ..., N or N m: one fewer, each greater than the one before.
     pub limits: Vec<f64>,
 }
 
@@ -60,17 +60,18 @@ impl StiffnessCurve {
         })
     }
 
-    /// Load over deflection at a load, N/m or N m/rad: of a linear drive that it deflects as far. K1 without a load.
+    /// Load over deflection at a load, N/m or N m/rad: the stiffness of a linear drive that deflects as far. K1 without
+    /// a load.
     pub fn secant(&self, stiffness: f64, load: f64) -> f64 {
         let deflection = self.deflection(stiffness, load);
         if deflection == 0.0 { self.tangent_and_load(stiffness, 0.0).0 } else { load / deflection }
     }
 }
 
-/// The curves of every actuator; `None` where the drive is linear. A rigid drive stays rigid.
+/// The curves of every actuator; `None` for a linear drive. A rigid drive stays rigid.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Stiffening {
-    /// One entry an actuator.
+    /// One entry per actuator.
     pub actuators: Vec<Option<StiffnessCurve>>,
 }
 

@@ -11,7 +11,7 @@ pub const AMBIENT_RANGE: [f64; 2] = [-20.0, 60.0];
 /// Temperature of the air against time: a start, a ramp and a wave.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ambient {
-    /// Without the wave at time zero, °C.
+    /// At time zero, without the wave, °C.
     pub start: f64,
     /// K/s
     pub drift: f64,
@@ -29,8 +29,8 @@ impl Ambient {
         self.start + self.drift * time + self.swing * (TAU * time / self.period + self.phase).sin()
     }
 
-    /// Temperature at `time` s of a body that follows the air with a time constant of `lag` s, and at time zero is as warm as the air, °C:
-    /// the solution of `lag dT/dt = T_air - T`.
+    /// Temperature at `time` s of a body that follows the air with a time constant of `lag` s, and that starts at the air's temperature at
+    /// time zero, °C: the solution of `lag dT/dt = T_air - T`.
     pub fn followed(&self, lag: f64, time: f64) -> f64 {
         if lag == 0.0 {
             return self.at(time);
@@ -46,32 +46,32 @@ impl Ambient {
     }
 }
 
-/// A part that is warmer than the air by more than this (K) by the heat of its drive belongs to no drive in service.
+/// Largest rise of a part above the air by the heat of its drive, K: no drive in service exceeds it.
 pub const MOST_RISE: f64 = 60.0;
 
-/// The heat that a drive leaves in a part.
+/// The heat of a drive in a part.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DriveHeat {
     /// Index of the actuator.
     pub actuator: usize,
-    /// What it dissipates from the beginning of the session on, whether it moves or not, W.
+    /// Power dissipated from the beginning of the session on, whether it moves or not, W.
     pub power: f64,
-    /// What its motion dissipates, J per m or rad of the actuator.
+    /// Energy dissipated by its motion, J per m or rad of the actuator.
     pub per_motion: f64,
-    /// What a steady watt warms the part by, K/W.
+    /// Temperature rise of the part per steady watt, K/W.
     pub resistance: f64,
 }
 
-/// How warm the parts are that drives heat: what a pose remembers of the session before.
+/// Temperature rise of the parts that drives heat: what a pose remembers of the session so far.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Warmth {
-    /// Of what follows, s since the session began.
+    /// Time that it belongs to, s since the session began.
     pub time: f64,
-    /// Beyond what the air makes of every growing part, K; empty as at the beginning.
+    /// Rise of every growing part above its temperature without drives, K; empty at the beginning.
     pub rise: Vec<f64>,
 }
 
-/// What of the structure grows.
+/// Which part of the structure grows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum GrowingPart {
     /// A link: everything behind its frame is carried along x, y or z (0..3) of it.
@@ -90,26 +90,26 @@ pub enum GrowingPart {
 pub struct Growth {
     /// Which.
     pub part: GrowingPart,
-    /// Its length, m, below zero where it runs against the axis; of no meaning for the rod.
+    /// Its length, m, negative if it runs against the axis; not used for the rod.
     pub length: f64,
-    /// Whether its joint's position adds to the length, as a telescope's.
+    /// Whether its joint's position adds to the length, as for a telescope.
     pub with_travel: bool,
     /// Relative growth per kelvin.
     pub expansion: f64,
-    /// Time constant with which it follows the air, and its drive's heat, s; above zero where it is heated.
+    /// Time constant with which it follows the air and its drive's heat, s; above zero if it is heated.
     pub lag: f64,
-    /// What heats it beside the air.
+    /// Its source of heat besides the air.
     pub heat: Option<DriveHeat>,
 }
 
 /// Thermal growth against the time of the session.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Thermal {
-    /// The air, as its sensor tells.
+    /// The air, as its sensor reads it.
     pub ambient: Ambient,
-    /// At which the links have their as-built lengths, °C.
+    /// Temperature at which the links have their as-built lengths, °C.
     pub reference: f64,
-    /// What grows.
+    /// The growing parts.
     pub growths: Vec<Growth>,
 }
 
@@ -159,7 +159,7 @@ impl Thermal {
         Ok(())
     }
 
-    /// Growth of a part, whose drive has warmed it by `rise` K, per its length at `time` s.
+    /// Growth of a part, warmed by its drive by `rise` K, per unit of its length at `time` s.
     pub fn strain(&self, growth: &Growth, time: f64, rise: f64) -> f64 {
         growth.expansion * (self.ambient.followed(growth.lag, time) + rise - self.reference)
     }
@@ -169,7 +169,7 @@ impl Thermal {
         self.growths.iter().any(|growth| growth.heat.is_some())
     }
 
-    /// How warm the parts are at `time` s, after `motions` (m or rad, one an actuator) since `before`.
+    /// Temperature rise of the parts at `time` s, after `motions` (m or rad, one per actuator) since `before`.
     pub fn warmth_after(&self, before: &Warmth, time: f64, motions: &[f64]) -> Warmth {
         let rise = self.growths.iter().enumerate().map(|(part, growth)| {
             let Some(heat) = &growth.heat else { return 0.0 };
@@ -214,12 +214,12 @@ impl DriveHeat {
         Ok(())
     }
 
-    /// What it has warmed a part of time constant `lag` s by, K, `seconds` after it had warmed it by `before`, having moved by `motion` (m or rad) at an
-    /// even rate: the solution of `lag dT/dt = R P - T`.
+    /// Rise of a part of time constant `lag` s, K, `seconds` after a rise of `before`, with a motion of `motion` (m or rad) at an even rate: the
+    /// solution of `lag dT/dt = R P - T`.
     pub fn rise_after(&self, lag: f64, before: f64, seconds: f64, motion: f64) -> f64 {
         let ratio = (seconds / lag).max(0.0);
         let gone = -(-ratio).exp_m1();
-        // The mean share that is still there of heat that comes evenly.
+        // The mean share that is still there of heat that arrives evenly.
         let kept = if ratio > 0.0 { gone / ratio } else { 1.0 };
         let moved = self.per_motion * motion.abs() / lag;
         before * (1.0 - gone) + self.resistance * (self.power * gone + moved * kept)

@@ -1,26 +1,26 @@
-//! Transmission errors that repeat with the output side of a drive and not with its motor: meshing gears, the pins of a cycloid, the lead of
-//! a ball screw.
+//! Transmission errors that repeat with the output side of a drive, not with its motor: meshing gears, the pins of a cycloid, the lead of a
+//! ball screw.
 
 use std::f64::consts::TAU;
 
 use super::error::{Range, check, check_length};
 use super::{EffectError, EffectKind};
 
-/// One wave of the transmission error of one actuator. Its period need not divide a turn, neither of the motor nor of the output.
+/// One wave of the transmission error of one actuator. Its period need not divide a turn of motor or output.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TransmissionWave {
     /// Periods per m or rad of the actuator.
     pub cycles: f64,
     /// Amplitude of the unloaded drive, m or rad.
     pub amplitude: f64,
-    /// What the amplitude grows by with the load on the drive, whichever its sign: m/N or rad/(N m).
+    /// Growth of the amplitude with the size of the drive's load: m/N or rad/(N m).
     pub per_load: f64,
     /// Phase at actuator position zero, rad.
     pub phase: f64,
 }
 
 impl TransmissionWave {
-    /// What the actuator is off by at its position `motor` (m or rad) under `load` (N or N m), m or rad.
+    /// Error of the actuator at its position `motor` (m or rad) under `load` (N or N m), m or rad.
     pub fn error(&self, motor: f64, load: f64) -> f64 {
         (self.amplitude + self.per_load * load.abs()) * (TAU * self.cycles * motor + self.phase).sin()
     }
@@ -29,7 +29,7 @@ impl TransmissionWave {
 /// The waves of every actuator.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Transmission {
-    /// One entry an actuator.
+    /// One entry per actuator.
     pub actuators: Vec<Vec<TransmissionWave>>,
 }
 

@@ -11,7 +11,7 @@ pub use stand::{Place, Stand};
 use rand::{Rng, RngExt};
 use thiserror::Error;
 
-/// A box of joint variables (SI, one entry a joint), from which poses are drawn uniformly.
+/// A box of joint variables (SI, one entry per joint), from which poses are drawn uniformly.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WorkingRegion {
     /// Middle of the box.
@@ -25,7 +25,7 @@ pub struct WorkingRegion {
 #[non_exhaustive]
 pub enum RegionError {
     /// More or fewer entries than joints.
-    #[error("{field} has {found} entries: expected {expected}, one a joint")]
+    #[error("{field} has {found} entries: expected {expected}, one per joint")]
     Length {
         /// `centre`, `half_width` or a listed pose.
         field: &'static str,
@@ -34,8 +34,8 @@ pub enum RegionError {
         /// The number of joints.
         expected: usize,
     },
-    /// A number that cannot be.
-    #[error("{field} of joint {} is {value}: expected a finite number, and no width below zero", joint.saturating_add(1))]
+    /// A number outside its valid range.
+    #[error("{field} of joint {} is {value}: expected a finite number, and no negative width", joint.saturating_add(1))]
     Number {
         /// `centre` or `half_width`.
         field: &'static str,
@@ -46,7 +46,7 @@ pub enum RegionError {
     },
 }
 
-/// Whether a pose that is not drawn is one finite number a joint.
+/// Whether a listed pose has one finite number per joint.
 pub(crate) fn check_listed(pose: &[f64], joints: usize) -> Result<(), RegionError> {
     if pose.len() != joints {
         return Err(RegionError::Length { field: "a listed pose", found: pose.len(), expected: joints });
@@ -58,7 +58,7 @@ pub(crate) fn check_listed(pose: &[f64], joints: usize) -> Result<(), RegionErro
 }
 
 impl WorkingRegion {
-    /// Whether poses of a machine with so many joints can be drawn.
+    /// Whether poses can be drawn for a machine with this many joints.
     ///
     /// # Errors
     ///
@@ -87,9 +87,9 @@ impl WorkingRegion {
             .collect()
     }
 
-    /// Poses (rad and m) in an order that makes the way through them short, from the middle of the region: the nearest pose next, then pieces of the
-    /// way turned round as long as that shortens it (2-opt: G. A. Croes, Oper. Res. 6 (1958) 791). A step is as long as its largest part of a
-    /// joint's half width.
+    /// Poses (rad and m) in an order with a short path through them, from the middle of the region: the nearest pose next, then pieces of the path
+    /// reversed as long as that shortens it (2-opt: G. A. Croes, Oper. Res. 6 (1958) 791). The length of a step is the largest motion of a joint, in
+    /// units of its half width.
     pub fn by_short_ways(&self, poses: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
         let step = |a: &[f64], b: &[f64]| {
             let parts = a.iter().zip(b).zip(&self.half_width);
@@ -108,7 +108,7 @@ impl WorkingRegion {
             let mut shortened = false;
             for start in 1..way.len() {
                 for end in start + 1..way.len() {
-                    // The way ends anywhere: turning its tail round changes one step alone.
+                    // The path may end anywhere: reversing its tail changes only one step.
                     let behind = |from: &[f64]| way.get(end + 1).map_or(0.0, |next| step(from, next));
                     let before = step(&way[start - 1], &way[start]) + behind(&way[end]);
                     let turned = step(&way[start - 1], &way[end]) + behind(&way[start]);
@@ -126,7 +126,7 @@ impl WorkingRegion {
     }
 }
 
-/// Looks over the whole way: after ten, what is still gained is below a percent.
+/// Passes over the whole path: after ten, the gain is below a percent.
 const MOST_PASSES: usize = 10;
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! Where a robot can be measured: a box of joint variables in which it touches neither itself nor what it stands on. The nominal robot is asked.
+//! Where a robot can be measured: a box of joint variables in which the nominal robot touches neither itself nor what it stands on.
 
 use rand::{Rng, RngExt};
 
@@ -8,15 +8,15 @@ use calibrig_model::{JointKind, KinematicModel};
 
 /// Steps in which a side of the box grows over the whole range of its joint.
 const STEPS: f64 = 16.0;
-/// Poses looked at in what a step adds.
+/// Poses checked in the part that a step adds.
 const OF_STEP: usize = 48;
-/// Poses of the whole box that are looked at in the end.
+/// Poses of the whole box that are checked at the end.
 const OF_BOX: usize = 2000;
-/// The box is made so much smaller where one of them touches.
+/// Factor by which the box shrinks if one of them touches.
 const SHRINK: f64 = 0.95;
 
-/// The largest box that is found between `ranges` (rad or m, one a joint) in which nothing touches: grown from each clear pose of `starts` on
-/// all sides alike, as long as no pose drawn in what is added touches. `None` where no start is clear.
+/// The largest box found within `ranges` (rad or m, one per joint) in which nothing touches: grown from each clear pose of `starts` on all
+/// sides alike, as long as no pose drawn in the added part touches. `None` if no start is clear.
 ///
 /// Its numbers are rounded to mrad and mm, and none of 2000 poses drawn in it touches.
 pub fn clear_region(
@@ -49,7 +49,7 @@ pub fn clear_region(
     }
 }
 
-/// Whether a joint is one of those that the box has a side for.
+/// Whether the box has a side for a joint.
 fn moves(room: &Room<'_>, ranges: &[[f64; 2]], joint: usize) -> bool {
     room.actuators.is_commanded(joint) && ranges[joint][1] > ranges[joint][0]
 }
@@ -84,7 +84,7 @@ fn grown(
                 if free {
                     sides[joint][side] = next;
                 }
-                // What is refused once is refused of any larger box: smaller steps come nearer to it, then it is let be.
+                // A refused step is also refused for any larger box: it is tried in smaller steps, then given up.
                 let least = (ranges[joint][1] - ranges[joint][0]) / STEPS / 4.0;
                 step[joint][side] = match () {
                     () if free => step[joint][side],
@@ -98,7 +98,7 @@ fn grown(
     sides
 }
 
-/// A box in whole mrad and mm, within the given one. Joints that follow others stand where they are in its middle.
+/// A box in whole mrad and mm, within the given one. Joints that follow others are at their place in its middle.
 pub(super) fn rounded(room: &Room<'_>, sides: &[[f64; 2]]) -> WorkingRegion {
     let whole = |value: f64| (1e3 * value).round() / 1e3;
     let down = |value: f64| ((1e3 * value).floor() / 1e3).max(0.0);
@@ -110,8 +110,8 @@ pub(super) fn rounded(room: &Room<'_>, sides: &[[f64; 2]]) -> WorkingRegion {
     WorkingRegion { centre: room.completed(centre), half_width }
 }
 
-/// The ranges in which joints are sought: within their limits by a hundredth of them on either side, and no more than `turn` (rad) and `travel` (m)
-/// about their middle, also where they have no limits.
+/// The ranges that are searched: a hundredth inside the joints' limits on either side, and at most `turn` (rad) and `travel` (m) about their
+/// middle, even without limits.
 pub fn usable_ranges(kinematics: &KinematicModel, turn: f64, travel: f64) -> Vec<[f64; 2]> {
     let range = |link: &calibrig_model::CraigLink| {
         let most = match link.kind {

@@ -1,4 +1,4 @@
-//! Where a tracker stands, so that it sees the most of a robot's poses.
+//! Where to place a tracker so that it sees the most of a robot's poses.
 
 use std::f64::consts::{FRAC_PI_4, PI, TAU};
 
@@ -10,7 +10,7 @@ use calibrig_model::geometry::Transform;
 use calibrig_model::visibility::{FreeSight, Hidden, Reflector, Room, Stance, TrackerReach, stance_at};
 use rand::Rng;
 
-/// A tracker that seeks its place about a robot.
+/// The search for a tracker's place around a robot.
 #[derive(Debug, Clone, Copy)]
 pub struct Stand<'a> {
     /// The robot.
@@ -21,43 +21,43 @@ pub struct Stand<'a> {
     pub up: UnitVector3<f64>,
     /// The floor's height along it, m.
     pub floor: f64,
-    /// Nothing stands nearer than this (m) to `robot`, a point of the base frame, but across `up`.
+    /// Nothing is nearer than this (m) to `robot`, a point of the base frame, measured across `up`.
     pub keep_off: f64,
     /// m
     pub robot: Vector3<f64>,
 }
 
-/// A place, and what is seen from it.
+/// A place, and what the tracker sees from it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Place {
     /// Of the tracker in the base frame, m, in whole centimetres.
     pub position: Vector3<f64>,
-    /// Azimuth to which it looks, about up, rad, in whole degrees.
+    /// Direction in which it looks, as azimuth about up, rad, in whole degrees.
     pub yaw: f64,
-    /// Part of the poses that are seen.
+    /// Share of the poses that are seen.
     pub seen: f64,
     /// Mean distance to those that are seen, m.
     pub range: f64,
 }
 
-/// Directions about the robot that are looked at.
+/// Directions around the robot that are tried.
 const DIRECTIONS: u32 = 24;
-/// Heights above the floor on which trackers stand, m; and with the robot, as parts of the height of its targets.
+/// Heights above the floor at which trackers stand, m; and as shares of the height of the robot's targets.
 const HEIGHTS: [f64; 3] = [0.8, 1.2, 1.6];
 /// Angle above and below level within which trackers work well, rad.
 const ELEVATION: f64 = FRAC_PI_4;
-/// Part of the seen poses that a metre of distance is worth: it scatters more, and air bends it.
+/// Share of the seen poses that a metre of distance costs: readings scatter more, and air bends the beam.
 const OF_A_METRE: f64 = 0.015;
-/// Part of a joint's range that is taken off where the least is seen.
+/// Share of a joint's range that is cut off where the least is seen.
 const TRIM: f64 = 0.1;
-/// Rounds of taking off.
+/// Rounds of cutting off.
 const MOST_TRIMS: usize = 60;
-/// Width below which no joint's range is trimmed, as a part of what it was.
+/// Width below which no joint's range is cut, as a share of the original.
 const LEAST_WIDTH: f64 = 0.25;
 
 impl Stand<'_> {
     fn level(&self) -> Rotation3<f64> {
-        // As a tracker is levelled.
+        // With its standing axis upright.
         Rotation3::rotation_between(&Vector3::z(), &self.up)
             .unwrap_or_else(|| Rotation3::from_axis_angle(&Vector3::x_axis(), PI))
     }
@@ -68,7 +68,7 @@ impl Stand<'_> {
         Transform::from_parts((*position).into(), turned)
     }
 
-    /// Whether it sees the target at joint variables from there.
+    /// Whether it sees the target from there at joint variables.
     ///
     /// # Errors
     ///
@@ -84,7 +84,7 @@ impl Stand<'_> {
         TrackerReach { elevation: [low.max(-ELEVATION), high.min(ELEVATION)], ..self.reach }
     }
 
-    /// The place from which most of `poses` (joint variables) are seen, the nearer of those that see as many. `None` where no place sees any.
+    /// The place from which most of `poses` (joint variables) are seen, the nearer one among equals. `None` if no place sees any.
     pub fn best(&self, poses: &[Vec<f64>]) -> Option<Place> {
         let level = self.level();
         let local = |point: Vector3<f64>| level.inverse() * point;
@@ -108,12 +108,12 @@ impl Stand<'_> {
                     );
                     let off = across(&(at - robot));
                     if off < self.keep_off {
-                        // On the same line, out of the robot's reach.
+                        // On the same line, but out of the robot's reach.
                         let more = self.keep_off - off;
                         at += more * Vector3::new(cos, sin, 0.0);
                     }
                     let at = (100.0 * (level * at)).map(f64::round) / 100.0;
-                    // Nobody sees through a wall.
+                    // A tracker cannot see through a wall.
                     if self.room.planes.iter().any(|(up, height)| up.dot(&at) < *height) {
                         continue;
                     }
@@ -139,8 +139,8 @@ impl Stand<'_> {
         Place { position, yaw, seen, range: sum / count.max(1) as f64 }
     }
 
-    /// The region, with the ends of ranges taken off in which the least is seen from `place`, until `wanted` of the poses drawn in it are seen, or
-    /// nothing more is gained; with the place at what is left.
+    /// The region, after cutting off the ends of ranges that are least visible from `place`, until `wanted` of the poses drawn in it are seen, or
+    /// nothing more is gained; with the result at `place`.
     pub fn trimmed(
         &self,
         region: &WorkingRegion,
@@ -185,8 +185,8 @@ impl Stand<'_> {
         (region, place)
     }
 
-    /// Places for base nests, m: up to `most` of `candidates` that the tracker sees with the robot at every one of `poses`, and that no link comes
-    /// over, each as far as can be from the ones before.
+    /// Places for base nests, m: up to `most` of `candidates` that the tracker sees with the robot at every one of `poses`, and that no link
+    /// passes over, each as far as possible from the ones before.
     pub fn nests(
         &self,
         place: &Place,

@@ -1,4 +1,4 @@
-//! The same machine without any compliance, beside the one that is measured: what deflections are told from.
+//! The same machine without any compliance, next to the measured one: deflections are the difference.
 
 use std::ops::ControlFlow;
 
@@ -9,7 +9,7 @@ use crate::effects::PoseEffects;
 use crate::{AsBuilt, Plant, PlantError, SettleOptions, SettledPose};
 use calibrig_model::geometry::Transform;
 
-/// The machine with every spring of it rigid, on a floor that does not yield: what its deflections are told from.
+/// The machine with every spring rigid, on a rigid floor: the reference of its deflections.
 pub struct RigidMachine(Plant);
 
 impl RigidMachine {
@@ -29,14 +29,14 @@ impl RigidMachine {
     }
 }
 
-/// Places the rigid machine beside every pose that passes on the way to `listener`.
+/// Adds the rigid machine's pose to every pose that passes on the way to `listener`.
 pub struct BesideRigid<'a, 'b> {
     listener: &'a mut SessionListener<'b>,
     machine: Option<RigidMachine>,
     /// In the flange frame, m.
     further_targets: Vec<Vector3<f64>>,
     last_from_flange: Transform,
-    /// One vector a set, as [`Truth::rigid`](super::Truth::rigid).
+    /// One vector per set, as [`Truth::rigid`](super::Truth::rigid).
     poses: Vec<Vec<SettledPose>>,
     failure: Option<PlantError>,
 }
@@ -83,7 +83,7 @@ impl<'a, 'b> BesideRigid<'a, 'b> {
         (self.listener)(event)
     }
 
-    /// One entry a reading, with the target that was observed.
+    /// One entry per reading, with the target that was observed.
     fn settle(&mut self, pose: &MeasuredPose<'_>) -> Result<Vec<SettledPose>, PlantError> {
         let Some(machine) = &mut self.machine else { return Ok(Vec::new()) };
         let mut before: Option<(&PoseEffects, SettledPose)> = None;

@@ -1,4 +1,4 @@
-//! The machine between two poses: what its controller and its drives remember.
+//! The machine between two poses: the memory of its controller and its drives.
 
 use rand::Rng;
 
@@ -14,7 +14,7 @@ pub(super) struct Controller<'a> {
 }
 
 impl<'a> Controller<'a> {
-    /// Referenced at the home pose, with drives as warm as they were left.
+    /// Referenced at the home pose, with the drives as warm as before.
     pub(super) fn at_home(session: &MeasuringSession<'a>, warmth: Warmth) -> Self {
         let command = session.actuators.command_from_joints(&session.region.centre);
         let drives = DriveState { warmth, ..session.as_built.referenced_at(&command) };
@@ -43,7 +43,7 @@ impl<'a> Controller<'a> {
         rng: &mut impl Rng,
     ) -> Result<PoseEffects, M::Error> {
         self.motion.go_to(command, 0.0);
-        // The effects are too small to change the load that they depend on.
+        // The effects are too small to change the load on which they depend.
         let load = if self.as_built.effects.need_load() {
             self.as_built.drive_loads(&machine.pass(command)?)
         } else {
@@ -55,12 +55,12 @@ impl<'a> Controller<'a> {
         Ok(effects)
     }
 
-    /// Goes to a command for the heat of its drives alone.
+    /// Goes to a command only for the heat of its drives.
     pub(super) fn warm(&mut self, command: &[f64], time: f64) {
         self.drives = self.as_built.warmed(&self.drives, command, time);
     }
 
-    /// How warm its drives are.
+    /// Its drives' heat.
     pub(super) fn warmth(&self) -> &Warmth {
         &self.drives.warmth
     }

@@ -1,4 +1,4 @@
-//! The cycles of a pose test (ISO 9283), behind a measuring session.
+//! The cycles of a pose test (ISO 9283), after a measuring session.
 
 use std::ops::ControlFlow;
 
@@ -12,26 +12,26 @@ use crate::tracker::{Shot, TrackerError};
 use calibrig_model::measurement::{MeasurementSet, Observation};
 use calibrig_model::random;
 
-/// Place of the test in the streams of a session, behind those of its two sets.
+/// Place of the test in the streams of a session, after those of its two sets.
 const PLACE: u64 = 2 << 32;
 
-/// The cycles as they were measured, and where the machine really was.
+/// The cycles as measured, and the machine's real places.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CycleMeasurements {
     /// In the order taken; poses count from one in the order in which they were given.
     pub measurements: MeasurementSet,
-    /// The target in the base frame, m; one an observation.
+    /// The target in the base frame, m; one per observation.
     pub attained: Vec<Vector3<f64>>,
 }
 
-/// Cycles that cannot be measured. `E` is why the machine does not come to rest. It is exhaustive, since whoever runs a test has to pass
-/// every case on.
+/// Why cycles cannot be measured. `E` is why the machine does not come to rest. Exhaustive, because the caller of a test has to handle
+/// every case.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum CycleError<E> {
-    /// The session around them cannot be.
+    /// The session around them is invalid.
     #[error(transparent)]
     Session(#[from] SessionError<E>),
-    /// A pose of another machine, or none at all.
+    /// A pose of another machine, or an invalid one.
     #[error("P{pose} has {found} joint variables: expected {expected} finite ones")]
     Joints {
         /// Number of the pose, from one.
@@ -41,7 +41,7 @@ pub enum CycleError<E> {
         /// The machine's joints.
         expected: usize,
     },
-    /// The machine cannot take a pose.
+    /// The machine cannot reach a pose.
     #[error("P{pose} in cycle {cycle}: {source}")]
     Pose {
         /// Number of the pose, from one.
@@ -74,9 +74,10 @@ pub enum CycleError<E> {
 }
 
 impl MeasuringSession<'_> {
-    /// Drives `cycles` cycles over `poses` (joint variables, P1 first), and measures every target at every one from the first station. The machine goes to P1, and then in every cycle through
-    /// the poses from the last one to P1, so that each has one approach. It is the machine, the tracker and the set-up of [`measure`](Self::measure), and the
-    /// clock goes on where both of its sets end. `progress` is told the number of poses done and of all poses, and may end the test.
+    /// Drives `cycles` cycles over `poses` (joint variables, P1 first), and measures every target at every one from the first station. The machine
+    /// goes to P1, and then in every cycle through the poses from the last one to P1, so that each has one approach. Machine, tracker and set-up are
+    /// those of [`measure`](Self::measure), and the clock continues from the end of both its sets. `progress` receives the number of poses done and
+    /// of all poses, and may end the test.
     ///
     /// # Errors
     ///

@@ -1,4 +1,4 @@
-//! The same session with other commands: its verification set once more, and a path behind it.
+//! The same session with other commands: its verification set again, and then a path.
 
 use std::ops::ControlFlow;
 
@@ -13,25 +13,25 @@ use calibrig_model::ModelError;
 use calibrig_model::measurement::{SetKind, SetOutcome};
 use calibrig_model::random;
 
-/// Place of a path in the streams of a session, behind those of its sets and of a pose test.
+/// Place of a path in the streams of a session, after those of its sets and of a pose test.
 const PLACE: u64 = 3 << 32;
 
-/// What was measured with other commands, and where the machine really was.
+/// Measurements with other commands, and the machine's real places.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DrivenSet {
     /// As measured; poses that were not are listed with the reason.
     pub set: SetOutcome,
-    /// The target in the base frame, m; one an observation.
+    /// The target in the base frame, m; one per observation.
     pub attained: Vec<Vector3<f64>>,
 }
 
-/// Commands that cannot be driven. `E` is why the machine does not come to rest. It is exhaustive, since whoever drives has to pass every case on.
+/// Why commands cannot be driven. `E` is why the machine does not come to rest. Exhaustive, because the caller has to handle every case.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum DriveError<E> {
-    /// The session around them cannot be.
+    /// The session around them is invalid.
     #[error(transparent)]
     Session(#[from] SessionError<E>),
-    /// A list of another length than the set's.
+    /// A list whose length differs from the set's.
     #[error("{found} commands: expected {expected}, one for each pose of the verification set")]
     Count {
         /// As given.
@@ -55,7 +55,7 @@ pub enum DriveError<E> {
         /// s
         time: f64,
     },
-    /// The machine cannot take a point of the path.
+    /// The machine cannot reach a point of the path.
     #[error("point {}: {source}", index + 1)]
     Point {
         /// Its place in the list.
@@ -65,7 +65,7 @@ pub enum DriveError<E> {
     },
 }
 
-/// Is told the number of poses done and of all poses, and may end the drive.
+/// Receives the number of poses done and of all poses, and may end the drive.
 pub type DriveProgress<'a> = dyn FnMut(u32, u32) -> ControlFlow<()> + 'a;
 
 impl MeasuringSession<'_> {
@@ -77,8 +77,9 @@ impl MeasuringSession<'_> {
         poses.iter().map(|(joints, time)| (self.actuators.command_from_joints(joints), *time)).collect()
     }
 
-    /// Measures the verification set once more as [`measure`](Self::measure) does, at the same hour, with the same draws and payloads, but with other commands for its
-    /// poses: what it would have shown, had these been driven. With the set's own commands it shows the same to within rounding.
+    /// Measures the verification set again as [`measure`](Self::measure) does, at the same time of day, with the same draws and payloads, but with
+    /// other commands for its poses: what it would have shown if these had been driven. With the set's own commands the results are the same to
+    /// within rounding.
     ///
     /// # Errors
     ///
@@ -127,9 +128,9 @@ impl MeasuringSession<'_> {
         Ok(DrivenSet { set: measured.set, attained })
     }
 
-    /// Drives a path behind both sets: commands (m or rad) with their times, s from its first point on. It is one motion from the home pose, taken slowly enough to be
-    /// at rest at every point, where every target is read as in the sets; what differs from one approach to the next is drawn once for all of it. Poses count
-    /// from zero.
+    /// Drives a path after both sets: commands (m or rad) with their times, s from its first point on. It is one motion from the home pose, slow
+    /// enough to be at rest at every point, where every target is read as in the sets; random differences between approaches are drawn once for the
+    /// whole path. Poses count from zero.
     ///
     /// # Errors
     ///

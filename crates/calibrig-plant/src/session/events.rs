@@ -1,4 +1,4 @@
-//! A measuring session while it goes on, for whoever records it or shows how far it is.
+//! A measuring session while it goes on, for recording or progress.
 
 use std::ops::ControlFlow;
 
@@ -10,16 +10,16 @@ use calibrig_model::Payload;
 use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::{Observation, SetKind, SetOutcome};
 
-/// What happens in a simulated session, in this order: `Begin`, then a set at a time `Set`, its poses, `SetEnd`.
+/// The events of a simulated session, in this order: `Begin`, then for one set at a time `Set`, its poses, `SetEnd`.
 #[derive(Debug, Clone, Copy)]
 pub enum SessionEvent<'a> {
-    /// The machine stands, the tracker is set up.
+    /// The machine and the tracker are set up.
     Begin {
         /// The machine.
         as_built: &'a AsBuilt,
         /// `tracker_from_base` of every station.
         stations: &'a [Transform],
-        /// Real offsets of the targets beside the machine's own, in the flange frame, m.
+        /// Real offsets of the targets besides the machine's own, in the flange frame, m.
         further_targets: &'a [Vector3<f64>],
         /// The loads that the flange carries at some poses, as they really are.
         payloads: &'a [Payload],
@@ -53,7 +53,7 @@ pub enum SessionEvent<'a> {
     },
 }
 
-/// All readings of a measured pose with their truth, one entry a reading in each list.
+/// All readings of a measured pose with their truth, one entry per reading in each list.
 #[derive(Debug, Clone, Copy)]
 pub struct MeasuredPose<'a> {
     /// The set.
@@ -64,16 +64,16 @@ pub struct MeasuredPose<'a> {
     pub observations: &'a [Observation],
     /// The machine at rest, with the target that was observed.
     pub settled: &'a [SettledPose],
-    /// The same if nothing of it yielded; empty where that is not asked for.
+    /// The same for a rigid machine; empty if not asked for.
     pub rigid: &'a [SettledPose],
-    /// What the machine's effects made of the pose.
+    /// The result of the machine's effects at the pose.
     pub effects: &'a [PoseEffects],
 }
 
-/// Is told what happens; `Break` ends the session.
+/// Receives the events; `Break` ends the session.
 pub type SessionListener<'a> = dyn FnMut(SessionEvent<'_>) -> ControlFlow<()> + 'a;
 
-/// A listener that counts: `progress` is told the number of poses done and of all poses.
+/// A listener that counts: `progress` receives the number of poses done and of all poses.
 pub fn counting(mut progress: impl FnMut(u32, u32)) -> impl FnMut(SessionEvent<'_>) -> ControlFlow<()> {
     let (mut done, mut total) = (0, 0);
     move |event| {

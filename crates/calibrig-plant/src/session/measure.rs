@@ -1,4 +1,4 @@
-//! The order of a session: sets and poses, what the machine does on its way, what the trackers read.
+//! The course of a session: sets and poses, what the machine does on its way, what the trackers read.
 
 use std::ops::ControlFlow;
 
@@ -24,7 +24,7 @@ use calibrig_model::measurement::{
 use calibrig_model::random::{self, Source};
 use calibrig_model::{ActuatorMap, JointKind, Payload};
 
-/// What is measured, where, and with what. What comes out of it is a pure function of this, the machine, the seed and the trial.
+/// What is measured, where, and with what. The results are a pure function of this, the machine, the seed and the trial.
 #[derive(Debug, Clone, Copy)]
 pub struct MeasuringSession<'a> {
     /// The machine: its effects, its target, and what its controller does not know.
@@ -33,7 +33,7 @@ pub struct MeasuringSession<'a> {
     pub actuators: &'a ActuatorMap,
     /// Where poses are drawn. Its middle is the home pose, where the machine has been referenced.
     pub region: &'a WorkingRegion,
-    /// Joint variables of the poses of the identification and of the verification set that are not drawn there but given, in their order.
+    /// Joint variables of the poses of the identification and of the verification set that are listed instead of drawn, in their order.
     pub listed: [Option<&'a [Vec<f64>]>; 2],
     /// Poses of the identification set.
     pub identification_poses: u32,
@@ -41,9 +41,9 @@ pub struct MeasuringSession<'a> {
     pub verification_poses: u32,
     /// The tracker at its real place: the first station.
     pub tracker: &'a LaserTracker,
-    /// Gross errors among the readings of targets, where there are any.
+    /// Gross errors among the readings of targets, if any.
     pub outliers: Option<&'a Outliers>,
-    /// What measures the target's orientation with its place; `None` where the target is a point.
+    /// What measures the target's orientation together with its place; `None` if the target is a point.
     pub probe: Option<&'a Probe>,
     /// Base nests: name and true place in the base frame, m.
     pub nests: &'a [(String, Vector3<f64>)],
@@ -55,21 +55,21 @@ pub struct MeasuringSession<'a> {
     pub plan: &'a SessionPlan,
 }
 
-/// What of a pose was read, one entry a reading in each.
+/// Readings of a pose, one entry per reading in each list.
 #[derive(Default)]
 pub(super) struct Taken {
     pub observations: Vec<Observation>,
     pub settled: Vec<SettledPose>,
     effects: Vec<PoseEffects>,
     outliers: Vec<(u32, Vector3<f64>)>,
-    /// Readings that the plan has and nobody took.
+    /// Planned readings that were not taken.
     pub missing: Vec<MissingReading>,
 }
 
-/// Is told what happens to a set, and may end it.
+/// Receives the events of a set, and may end it.
 type Hearer<'a, E> = dyn FnMut(SessionEvent<'_>) -> Result<(), SessionError<E>> + 'a;
 
-/// A set as it was measured, and the truth beside it.
+/// A set as measured, together with the truth.
 pub(super) struct MeasuredSet {
     pub set: SetOutcome,
     pub poses: Vec<SettledPose>,
@@ -87,7 +87,7 @@ pub(super) struct Setup {
 }
 
 impl MeasuringSession<'_> {
-    /// Measures with `machine`, which stands for [`as_built`](Self::as_built), and tells `listener` what happens.
+    /// Measures with `machine`, which stands for [`as_built`](Self::as_built), and reports events to `listener`.
     ///
     /// The machine comes to the first pose of a set from its home pose.
     pub fn measure<M: Machine>(
@@ -162,7 +162,7 @@ impl MeasuringSession<'_> {
         Ok(self.plan.check(self.identification_poses.max(self.verification_poses))?)
     }
 
-    /// The poses of a set, one after the other, and what `hear` is told of them.
+    /// The poses of a set in order, with the events reported to `hear`.
     pub(super) fn measure_set<M: Machine>(
         &self,
         machine: &mut M,
@@ -220,11 +220,11 @@ impl MeasuringSession<'_> {
         schedule
     }
 
-    /// `tracker_from_base` of every station on the average of its rounds of nests, as the session of (seed, trial) has it.
+    /// `tracker_from_base` of every station at its mean over the rounds of nests, in the session of (seed, trial).
     ///
     /// # Errors
     ///
-    /// No tracker can have these figures.
+    /// The tracker's figures are invalid.
     pub fn stations(&self, seed: u64, trial: u32) -> Result<Vec<Transform>, TrackerError> {
         let schedule = self.schedule(seed, trial);
         Ok(self.mean_places(&self.trackers(&schedule, seed, trial)?, &schedule))
@@ -277,16 +277,16 @@ impl MeasuringSession<'_> {
             .collect()
     }
 
-    /// How warm the drives are behind all of a schedule.
+    /// The drives' heat after the whole schedule.
     ///
     /// # Errors
     ///
-    /// On its way a part gets warmer than any drive makes it.
+    /// On its way a part gets warmer than any drive in service makes it.
     pub(super) fn warmth_after(&self, schedule: &Schedule) -> Result<Warmth, EffectError> {
         self.warmth_behind(schedule, &schedule.sets)
     }
 
-    /// The same behind the sweeps and some of the sets.
+    /// The same after the sweeps and some of the sets.
     pub(super) fn warmth_behind(
         &self,
         schedule: &Schedule,
@@ -354,7 +354,7 @@ impl MeasuringSession<'_> {
         Ok(taken)
     }
 
-    /// Joint variables beside a pose, from which a visit comes.
+    /// Joint variables near a pose, from which a visit comes.
     fn beside(&self, joints: &[f64], visit: u32) -> Option<Vec<f64>> {
         let (distances, side) = match self.plan.approach {
             Approach::AsTravelled => return None,
@@ -373,7 +373,8 @@ impl MeasuringSession<'_> {
         Some(joints.iter().zip(links).map(away).collect())
     }
 
-    /// Every reading of a visit. Numbers are taken from `noise` for all stations and targets, whichever see each other.
+    /// Every reading of a visit. Numbers are taken from `noise` for all stations and targets, whether they see each
+    /// other or not.
     pub(super) fn read(&self, setup: &Setup, visit: &Visit<'_>, noise: &mut impl Rng, taken: &mut Taken) {
         let Visit { pose, place, settled, effects, .. } = visit;
         let seen = self.look(&setup.trackers, &setup.mounted, settled);
@@ -425,7 +426,7 @@ impl MeasuringSession<'_> {
         }
     }
 
-    /// A reason, with the station where there are several.
+    /// A reason, with the station if there are several.
     fn from(&self, station: usize, why: String) -> String {
         match station.checked_sub(1) {
             _ if self.plan.stations.is_empty() => why,
@@ -437,8 +438,8 @@ impl MeasuringSession<'_> {
         }
     }
 
-    /// The reading of a target at rest whose place was read: of the first with the orientation, where a probe measures it. Its noise is at a place of
-    /// the streams of seed and trial.
+    /// The reading of a target at rest whose place was read: with the orientation for the first target, if a probe measures it. Its noise is at a
+    /// place of the streams of seed and trial.
     pub(super) fn reading(
         &self,
         place: SphericalReading,
@@ -455,7 +456,7 @@ impl MeasuringSession<'_> {
         Reading::Pose(Box::new(probe.measure(&place, &(tracker_from_base * base_from_flange), &mut rng)))
     }
 
-    /// What the reading at that place of the streams is off by, if it is a gross error.
+    /// The error of the reading at that place of the streams, if it is a gross error.
     pub(super) fn outlier(&self, setup: &Setup, place: u64) -> Option<Vector3<f64>> {
         self.outliers?.draw(&mut random::stream_at(setup.seed, setup.trial, Source::Outliers, place))
     }
@@ -469,7 +470,8 @@ impl MeasuringSession<'_> {
     pub(super) fn measure_targets(&self, seed: u64, trial: u32) -> Vec<Target> {
         let mut rng = random::stream(seed, trial, Source::TargetOffset);
         let sigma = self.target_covariance[(0, 0)].sqrt();
-        // A coordinate measuring machine touches the sphere; how far the optical centre is from its centre, the makers state.
+        // A coordinate measuring machine touches the sphere; the distance of the optical centre from its centre is the
+        // maker's figure.
         let smr = self.tracker.conditions.smr.as_ref();
         let centring = smr.map_or(0.0, |law| law.centring_sigma.powi(2));
         let further = self.plan.targets.iter().map(|target| (target.name.as_str(), target.in_flange));
@@ -523,7 +525,7 @@ impl Visit<'_> {
     }
 }
 
-/// What all readings of the session are off by; empty where not all trackers have the same errors.
+/// The errors that all readings of the session share; empty unless all trackers have the same.
 fn shared_errors(trackers: &[LaserTracker]) -> Vec<(InstrumentTerm, f64)> {
     let own = trackers.first().map(LaserTracker::real_errors).unwrap_or_default();
     if trackers.iter().all(|tracker| tracker.real_errors() == own) { own } else { Vec::new() }
@@ -544,7 +546,7 @@ fn entry(kind: SetKind, pose: u32) -> u64 {
     set << 32 | u64::from(pose)
 }
 
-/// What sets the way to a pose apart from the pose in the stream of repeatability.
+/// Offset that separates the way to a pose from the pose itself in the stream of repeatability.
 const VIA: u64 = 1 << 33;
-/// From one reading of a visit to the next in the streams: behind a million poses.
+/// Offset from one reading of a visit to the next in the streams: beyond a million poses.
 pub(super) const READING: u64 = 1 << 20;

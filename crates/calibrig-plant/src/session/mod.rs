@@ -1,4 +1,4 @@
-//! The measuring session of a simulated machine: which poses it takes, what the tracker reads there, and the truth beside it.
+//! The measuring session of a simulated machine: its poses, the tracker's readings there, and the truth.
 
 mod beside;
 mod controller;
@@ -38,45 +38,46 @@ use calibrig_model::Payload;
 use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::{InstrumentTerm, SetKind, SetOutcome};
 
-/// The truth of a simulated session, for reports and recordings alone.
+/// The truth of a simulated session, for reports and recordings only.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Truth {
     /// The machine.
     pub as_built: AsBuilt,
-    /// `tracker_from_base` of every station, on the average of its rounds of nests.
+    /// `tracker_from_base` of every station, at its mean over the rounds of nests.
     pub stations: Vec<Transform>,
-    /// What the readings of the instrument are really off by, m, rad or 1; empty where that is not known, or the stations' instruments differ.
+    /// The instrument's real errors, m, rad or 1; empty if unknown, or if the stations' instruments differ.
     pub instrument: Vec<(InstrumentTerm, f64)>,
-    /// The loads that the flange carried at some poses, as they really are; the observations have them by name, as stated.
+    /// The loads that the flange carried at some poses, as they really are; the observations refer to them by name, with
+    /// the stated values.
     pub payloads: Vec<Payload>,
-    /// Real offsets of the targets beside the machine's own, in the flange frame, m.
+    /// Real offsets of the targets besides the machine's own, in the flange frame, m.
     pub further_targets: Vec<Vector3<f64>>,
-    /// `flange_from_target` of the first target, where its orientation is measured; `None` of a point.
+    /// `flange_from_target` of the first target, if its orientation is measured; `None` for a point.
     pub orientation: Option<Rotation3<f64>>,
-    /// The settled poses, one vector a set, one entry an observation, with the target that was observed.
+    /// The settled poses, one vector per set, one entry per observation, with the target that was observed.
     pub poses: Vec<Vec<SettledPose>>,
-    /// What the machine's effects made of every pose, in the order of `poses`.
+    /// The result of the machine's effects at every pose, in the order of `poses`.
     pub effects: Vec<Vec<PoseEffects>>,
-    /// Poses whose reading is a gross error, and what it is off by in the base frame, m; one vector a set.
+    /// Poses whose reading is a gross error, with that error in the base frame, m; one vector per set.
     pub outliers: Vec<Vec<(u32, Vector3<f64>)>>,
-    /// The same poses, effects included, of the same machine if nothing of it yielded, in the order of `poses`; empty where not asked for.
+    /// The same poses, effects included, of the same machine with everything rigid, in the order of `poses`; empty if not asked for.
     pub rigid: Vec<Vec<SettledPose>>,
 }
 
-/// A simulated session: what the tracker saw, and the truth beside it.
+/// A simulated session: what the tracker measured, and the truth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Simulation {
     /// The measured sets, identification first.
     pub sets: Vec<SetOutcome>,
-    /// Readings of measured poses that were planned and did not come, one vector a set.
+    /// Planned readings of measured poses that are missing, one vector per set.
     pub missing: Vec<Vec<MissingReading>>,
-    /// Readings of the sweeps that did not come; a pose is the number of the place among those of all sweeps.
+    /// Missing readings of the sweeps; a pose is the number of the place among those of all sweeps.
     pub sweeps_missing: Vec<MissingReading>,
-    /// What really was.
+    /// The truth.
     pub truth: Truth,
 }
 
-/// A reading that was planned and did not come.
+/// A planned reading that is missing.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct MissingReading {
     /// Number of the pose in its set.
@@ -94,17 +95,17 @@ pub trait Machine {
     /// Why it does not come to rest.
     type Error;
 
-    /// The pose at rest at the positions of its motors (m or rad, one an actuator), with the frames of the links displaced (along, then about x,
-    /// y and z; m and rad, one a joint; empty for none).
+    /// The pose at rest at the positions of its motors (m or rad, one per actuator), with the frames of the links displaced (along, then about
+    /// x, y and z; m and rad, one per joint; empty for none).
     fn settle(&mut self, motors: &[f64], displacements: &[[f64; 6]]) -> Result<SettledPose, Self::Error>;
 
-    /// Like [`settle`](Self::settle) without displacements, on the way to a pose that is measured: only the loads of its drives are used, so that
-    /// nothing has to confirm it.
+    /// Like [`settle`](Self::settle) without displacements, on the way to a measured pose: only the loads of its drives are used, so no
+    /// confirmation is needed.
     fn pass(&mut self, motors: &[f64]) -> Result<SettledPose, Self::Error> {
         self.settle(motors, &[])
     }
 
-    /// Hangs a load on the flange, or takes it off, for all poses from now on.
+    /// Hangs a load on the flange, or takes it off, for all later poses.
     fn carry(&mut self, payload: Option<&Payload>) -> Result<(), Self::Error>;
 }
 
@@ -124,11 +125,11 @@ impl Machine for Plant {
     }
 }
 
-/// A session that cannot be measured. `E` is why the machine does not come to rest. It is exhaustive, since
-/// whoever runs a session has to pass every case on.
+/// Why a session cannot be measured. `E` is why the machine does not come to rest. Exhaustive, because the caller of a
+/// session has to handle every case.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum SessionError<E> {
-    /// No machine can have these effects.
+    /// The machine's effects are invalid.
     #[error("the machine's effects: {0}")]
     Effects(#[from] EffectError),
     /// No pose of the machine can be drawn.
@@ -137,10 +138,10 @@ pub enum SessionError<E> {
     /// The plan cannot be carried out.
     #[error("the session: {0}")]
     Plan(#[from] PlanError),
-    /// No tracker can have these figures.
+    /// The tracker's figures are invalid.
     #[error("the tracker: {0}")]
     Tracker(#[from] TrackerError),
-    /// The machine cannot take a pose.
+    /// The machine cannot reach a pose.
     #[error("{} set, pose {pose}: {source}", set.key())]
     Pose {
         /// The set that it is measured for.
@@ -150,7 +151,7 @@ pub enum SessionError<E> {
         /// Why.
         source: E,
     },
-    /// The machine cannot take a place of a sweep.
+    /// The machine cannot reach a place of a sweep.
     #[error("place {} of the sweeps: {source}", place.saturating_add(1))]
     Sweep {
         /// Its number among those of all sweeps.
@@ -166,7 +167,7 @@ pub enum SessionError<E> {
         /// Why.
         source: TrackerError,
     },
-    /// Whoever listened to the session ended it.
+    /// The listener ended the session.
     #[error("interrupted after {done} of {total} poses")]
     Interrupted {
         /// Poses done.
@@ -176,13 +177,13 @@ pub enum SessionError<E> {
     },
 }
 
-/// What stands for the machine.
+/// Which model stands for the machine.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum PlantKind {
     /// The multibody simulation, which shares nothing with the identification.
     #[default]
     Rapier,
-    /// The identification's own elastostatics with the real parameters: a matched model, for tests of the estimator alone.
+    /// The identification's own elastostatics with the real parameters: a matched model, only for tests of the estimator.
     Analytic,
 }
 

@@ -10,7 +10,7 @@ use calibrig_model::measurement::{Face, NestObservation, Reading, SphericalReadi
 use calibrig_model::random::{Source, stream, stream_at};
 use calibrig_model::visibility::{Stance, stance_at};
 
-/// Place in the stream of reflectors of the one that goes through the nests: behind all that can be on a flange.
+/// Place in the stream of reflectors of the one used for the nests: after all that can be on a flange.
 const OF_NESTS: u64 = 1 << 16;
 
 impl MeasuringSession<'_> {
@@ -77,10 +77,10 @@ impl MeasuringSession<'_> {
         Shot { face, averaging: self.plan.timing.averaging, ..Shot::at(time) }
     }
 
-    /// A nest whose certificate has its error; its reading is another's.
+    /// A nest with the error of its certificate; its reading follows.
     fn certify(&self, name: &str, place: &Vector3<f64>, rng: &mut impl Rng) -> NestObservation {
         let sigma = self.nest_sigma;
-        // The optical centre of the reflector that goes through the nests is off by the same in every round: more readings do not tell it from the certificate.
+        // The optical centre of the nests' reflector has the same error in every round: more readings do not separate it from the certificate.
         let centring = self.tracker.conditions.smr.as_ref().map_or(0.0, |law| law.centring_sigma);
         NestObservation {
             name: name.to_owned(),
@@ -91,7 +91,7 @@ impl MeasuringSession<'_> {
         }
     }
 
-    /// The same with what is known of how well a reflector sits in a nest, each time it is put there.
+    /// The same, with the stated uncertainty of seating a reflector in a nest, each time anew.
     fn with_seat(&self, mut reading: SphericalReading) -> SphericalReading {
         let variance = self.tracker.conditions.smr.as_ref().map_or(0.0, |law| law.seat_sigma.powi(2));
         let flat = reading.range * reading.elevation.cos();
@@ -100,7 +100,7 @@ impl MeasuringSession<'_> {
         reading
     }
 
-    /// Where the reflector's optical centre is beside the nest's place, m.
+    /// Displacement of the reflector's optical centre from the nest's place, m.
     fn seated(
         &self,
         smr: &Smr,

@@ -4,19 +4,19 @@ use super::plan::PlanError;
 use calibrig_model::Payload;
 use calibrig_model::measurement::SetKind;
 
-/// A load for the flange: as those who measure know it, and as it is.
+/// A load for the flange: as stated, and as it really is.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlannedPayload {
-    /// What the observations say.
+    /// As stated in the observations.
     pub stated: Payload,
-    /// What hangs there.
+    /// What really hangs there.
     pub real: Payload,
 }
 
 /// How the loads of a set follow each other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum PayloadOrder {
-    /// A change once a load: as many poses in a row with each, the first ones with one more where they do not divide.
+    /// One change per load: as many consecutive poses with each, the first loads with one more if they do not divide.
     #[default]
     Blocks,
     /// A change at every pose.
@@ -33,20 +33,20 @@ impl PayloadOrder {
     }
 }
 
-/// Which poses carry which load; by default none does.
+/// Which poses carry which load; none by default.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct PayloadPlan {
-    /// All that there are.
+    /// All of them.
     pub payloads: Vec<PlannedPayload>,
-    /// What the poses of the identification and of the verification set carry, in turn: indices into `payloads`, `None` for nothing. A set of an
-    /// empty list carries nothing.
+    /// The loads of the poses of the identification and of the verification set, in turn: indices into `payloads`, `None` for nothing. A set
+    /// with an empty list carries nothing.
     pub carried: [Vec<Option<usize>>; 2],
     /// In which order.
     pub order: PayloadOrder,
 }
 
 impl PayloadPlan {
-    /// Lets what hangs there be what is stated of it.
+    /// Makes the real load equal to the stated one.
     pub fn make_as_stated(&mut self) {
         for payload in &mut self.payloads {
             payload.real.clone_from(&payload.stated);

@@ -1,4 +1,4 @@
-//! What a session does beside taking its poses one after the other: stations, targets, visits, times, rounds of nests, lines of sight.
+//! What a session has besides a sequence of poses: stations, targets, visits, times, rounds of nests, lines of sight.
 
 use nalgebra::{UnitVector3, Vector3};
 use thiserror::Error;
@@ -10,30 +10,30 @@ use calibrig_model::PayloadError;
 use calibrig_model::geometry::Transform;
 use calibrig_model::visibility::Obstacles;
 
-/// How a session is carried out. The default is the plainest: one station, one target, one reading a pose every 10 s, nests once before, and nothing in the
-/// way of the beam.
+/// How a session is carried out. The default is the simplest: one station, one target, one reading per pose every 10 s, nests once before, and free
+/// lines of sight.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SessionPlan {
-    /// Trackers beside the first. All stand throughout the session and are of one make: they have the same errors of instrument and air, and
-    /// each a stand of its own.
+    /// Trackers besides the first. All stand throughout the session and are of one make: they share the errors of instrument and air, but
+    /// each has its own stand.
     pub stations: Vec<FurtherStation>,
     /// Which stations read a pose.
     pub share: StationShare,
-    /// Where the first target's opening points, in the flange frame; `None` of one that is always turned to the tracker.
+    /// Direction of the first target's opening, in the flange frame; `None` if it is always turned to the tracker.
     pub opening: Option<UnitVector3<f64>>,
-    /// Targets beside the first.
+    /// Targets besides the first.
     pub targets: Vec<FurtherTarget>,
     /// Visits of each pose.
     pub repeats: u32,
     /// From where each visit comes.
     pub approach: Approach,
-    /// Which pose follows which.
+    /// The order of the poses.
     pub order: PoseOrder,
     /// How long things take.
     pub timing: Timing,
     /// When nests are measured.
     pub rounds: NestRounds,
-    /// Joints that are moved alone, one after the other, behind the first round of nests.
+    /// Joints that are moved one at a time, after the first round of nests.
     pub sweeps: Vec<PlannedSweep>,
     /// What the flange carries at which pose.
     pub payloads: PayloadPlan,
@@ -41,30 +41,30 @@ pub struct SessionPlan {
     pub sight: Option<Sight>,
 }
 
-/// A tracker beside the first.
+/// A tracker besides the first.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FurtherStation {
     /// Name for people.
     pub name: String,
-    /// Where it really stands when the session begins.
+    /// Its real place when the session begins.
     pub tracker_from_base: Transform,
 }
 
-/// A target beside the first.
+/// A target besides the first.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FurtherTarget {
     /// Name for people.
     pub name: String,
-    /// Where it really is in the flange frame, m.
+    /// Its real place in the flange frame, m.
     pub in_flange: Vector3<f64>,
-    /// Where its opening points, in the flange frame.
+    /// Direction of its opening, in the flange frame.
     pub opening: Option<UnitVector3<f64>>,
 }
 
 /// Which stations read a pose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum StationShare {
-    /// The one that sees most targets, of these the nearest.
+    /// The one that sees most targets, the nearest among equals.
     #[default]
     Best,
     /// All that see a target.
@@ -87,20 +87,20 @@ pub enum Approach {
     /// From the pose before. A pose that is visited again is read again at rest.
     #[default]
     AsTravelled,
-    /// From below of every joint variable, by so much (m of a rail, rad of a turning joint) or to its limit.
+    /// From below for every joint variable, by this much (m of a rail, rad of a turning joint) or up to its limit.
     OneSide([f64; 2]),
     /// The same, from below and above in turn.
     BothSides([f64; 2]),
 }
 
-/// Which pose follows which.
+/// The order of the poses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum PoseOrder {
     /// In the order of drawing.
     #[default]
     AsDrawn,
-    /// By short ways: the nearest pose next, then pieces of the way turned round as long as that shortens it. A step is as long as its largest
-    /// part of a joint's working range.
+    /// By short paths: the nearest pose next, then pieces of the path reversed as long as that shortens it. The length of a step is the
+    /// largest motion of a joint, relative to its working range.
     ShortTravel,
 }
 
@@ -138,13 +138,13 @@ impl Default for Timing {
 /// When the base nests are measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct NestRounds {
-    /// Again behind so many poses; zero for never.
+    /// Again after this many poses; zero for never.
     pub every: u32,
-    /// Again behind the last pose.
+    /// Again after the last pose.
     pub after: bool,
     /// In both faces.
     pub two_faces: bool,
-    /// Whether readings of nests say when they were taken.
+    /// Whether readings of nests have times.
     pub timed: bool,
 }
 
@@ -176,14 +176,14 @@ impl Default for SessionPlan {
     }
 }
 
-/// Poses up to which a short way is looked for: beyond, looking takes longer than a day of measuring is worth.
+/// Number of poses up to which a short path is searched: beyond, the search takes too long.
 pub const MOST_ORDERED_POSES: u32 = 5000;
-/// Visits of a pose up to which places in the random streams do not meet those of others.
+/// Number of visits of a pose up to which places in the random streams do not overlap with those of others.
 pub const MOST_REPEATS: u32 = 1000;
 
-/// Places of a sweep from which its line or circle can be told ...
+/// Least number of places of a sweep that determine its line or circle ...
 pub const LEAST_PLACES: u32 = 5;
-/// ... and beyond which it takes longer than it is worth.
+/// ... and the largest number worth its time.
 pub const MOST_PLACES: u32 = 1000;
 
 /// A plan that cannot be carried out.
@@ -196,7 +196,7 @@ pub enum PlanError {
         /// Their number.
         repeats: u32,
     },
-    /// A time that cannot be.
+    /// An invalid time.
     #[error("{what} takes {seconds} s: expected zero to {MOST_SECONDS} s, and an averaging above zero")]
     Time {
         /// Which.
@@ -206,7 +206,8 @@ pub enum PlanError {
     },
     /// More than [`MOST_ORDERED_POSES`].
     #[error(
-        "{poses} poses of a set are too many to look for a short way: expected up to {MOST_ORDERED_POSES}, or the order of drawing"
+        "{poses} poses of a set are too many for ordering by the shortest way: expected up to {MOST_ORDERED_POSES}, or the \
+         order of drawing"
     )]
     Order {
         /// Their number.
@@ -214,26 +215,27 @@ pub enum PlanError {
     },
     /// A sweep that does not move its joint, or in too few or too many places.
     #[error(
-        "a sweep of joint {} from {} to {} (m or rad) in {} places: expected two finite values that differ, and {} to {MOST_PLACES} places",
+        "a sweep of joint {} from {} to {} (m or rad) in {} places: expected two different finite values, and {} to \
+         {MOST_PLACES} places",
         sweep.joint.saturating_add(1), sweep.range[0], sweep.range[1], sweep.places, LEAST_PLACES
     )]
     Sweep {
         /// As planned.
         sweep: PlannedSweep,
     },
-    /// A load that cannot be.
+    /// An invalid load.
     #[error(transparent)]
     Carried(#[from] PayloadError),
     /// A load that the plan does not have.
-    #[error("a pose carries payload index {index} of {payloads}")]
+    #[error("a pose carries payload index {index}, but there are {payloads} payloads")]
     Payload {
         /// Index asked for.
         index: usize,
         /// Their number.
         payloads: usize,
     },
-    /// An approach that is no distance.
-    #[error("an approach from {distance} (m or rad) beside: expected a finite number above zero")]
+    /// An invalid approach distance.
+    #[error("the approach distance is {distance} (m or rad): expected a finite number above zero")]
     Approach {
         /// m or rad
         distance: f64,

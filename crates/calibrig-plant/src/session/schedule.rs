@@ -34,7 +34,7 @@ pub(super) struct Schedule {
     pub duration: f64,
 }
 
-/// Draws and orders the poses of a session, and gives each its time. Where they are listed, as many of them as are wanted are taken in their order.
+/// Draws and orders the poses of a session, and gives each its time. If they are listed, the first ones are taken, as many as are wanted.
 pub(super) fn schedule(
     plan: &SessionPlan,
     (region, listed): (&WorkingRegion, [Option<&[Vec<f64>]>; 2]),

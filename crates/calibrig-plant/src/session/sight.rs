@@ -24,18 +24,18 @@ pub(super) struct TargetPlace {
     pub optical: Vector3<f64>,
 }
 
-/// What the trackers see of a pose.
+/// The trackers' views of a pose.
 pub(super) struct Seen {
-    /// One a target.
+    /// One per target.
     pub places: Vec<TargetPlace>,
-    /// Why not, one list a station, one entry a target; `None` of what is seen.
+    /// The reasons, one list per station, one entry per target; `None` if visible.
     pub hidden: Vec<Vec<Option<Hidden>>>,
     /// From every station to the first target, m.
     ranges: Vec<f64>,
 }
 
 impl MeasuringSession<'_> {
-    /// How reflectors err, where readings err at all.
+    /// The reflectors' errors, if readings have errors at all.
     pub(super) fn smr(&self) -> Option<&SmrLaw> {
         self.tracker.conditions.smr.as_ref().filter(|_| self.tracker.instrument.noise)
     }

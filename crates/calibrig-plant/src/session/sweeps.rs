@@ -38,7 +38,7 @@ impl PlannedSweep {
 }
 
 impl MeasuringSession<'_> {
-    /// Gives the stations what they read in the sweeps. Returns which readings did not come, and how warm the drives then are.
+    /// Adds the readings in the sweeps to the stations. Returns which readings are missing, and the drives' heat afterwards.
     pub(super) fn measure_sweeps<M: Machine>(
         &self,
         machine: &mut M,

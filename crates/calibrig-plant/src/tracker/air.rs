@@ -37,7 +37,7 @@ impl Air {
         1.0 + dry - wet
     }
 
-    /// Whether it can be air in which an instrument works.
+    /// Whether an instrument can work in this air.
     pub fn check(&self) -> Result<(), TrackerError> {
         let figures = [
             ("temperature of the air in deg C", self.temperature, [-40.0, 60.0], "-40 to 60"),

@@ -23,7 +23,7 @@ pub struct Motion {
 pub struct DriftLaw {
     /// Steady, per hour.
     pub ramp: Motion,
-    /// What is left to go when the session begins, least and most; it is drawn uniformly between.
+    /// Remaining warm-up when the session begins, least and most; drawn uniformly in between.
     pub warm_up: [Motion; 2],
     /// Time after which a share 1/e of the warm-up is left, s.
     pub warm_up_time: f64,
@@ -34,7 +34,7 @@ pub struct DriftLaw {
 /// Seconds an hour.
 const HOUR: f64 = 3600.0;
 
-/// Time from one knot of the walk to the next, s; it goes straight between.
+/// Time from one knot of the walk to the next, s; linear in between.
 const STEP: f64 = 60.0;
 
 /// The motion of one tracker in one session.
@@ -49,7 +49,7 @@ pub struct Drift {
 }
 
 impl DriftLaw {
-    /// Whether it can be.
+    /// Whether it is valid.
     pub fn check(&self) -> Result<(), TrackerError> {
         let sizes = [self.ramp, self.warm_up[0], self.warm_up[1], self.walk];
         for value in sizes.iter().flat_map(|motion| [motion.shift, motion.turn]) {
@@ -65,8 +65,8 @@ impl DriftLaw {
         Ok(())
     }
 
-    /// What an operator knows of it: how far it goes in an hour along and about one axis, as one standard deviation. It is told as a steady motion,
-    /// which is the most that measurements of a robot alone can tell of it. `None` of a stand that does not move.
+    /// What an operator knows about it: the motion in an hour along and about one axis, as one standard deviation. It is stated as a steady motion,
+    /// which is all that measurements of a robot alone can determine. `None` for a stand that does not move.
     pub fn stated(&self) -> Option<StatedDrift> {
         let [_, warm_up] = self.warm_up;
         let of = |size: fn(&Motion) -> f64| {
@@ -80,7 +80,7 @@ impl DriftLaw {
         (stated.motion_per_hour > 0.0 || stated.turn_per_hour > 0.0).then_some(stated)
     }
 
-    /// The drift of a session that lasts so long (s). A longer session goes the same way, and on.
+    /// The drift of a session of this length (s). A longer session has the same drift, continued.
     ///
     /// Takes the same numbers from `rng` in the same order whatever the sizes are.
     pub fn draw(&self, duration: f64, rng: &mut impl Rng) -> Drift {
@@ -128,7 +128,7 @@ impl Drift {
     fn walked(&self, time: f64) -> [Vector3<f64>; 2] {
         let Some(last) = self.walk.len().checked_sub(1) else { return [Vector3::zeros(); 2] };
         let steps = (time / STEP).max(0.0);
-        // A cast saturates: what is beyond the end, or no number, is at an end.
+        // A cast saturates: a time beyond the end, or NaN, is at an end.
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
         let before = (steps as usize).min(last);
         let after = (before + 1).min(last);

@@ -1,6 +1,6 @@
 //! An angle encoder whose graduated circle is neither round nor centred.
 
-/// What a reading head shows that turns about an axis beside the centre of an oval circle, in units of the circle's radius.
+/// Reading of a head that turns about an axis off the centre of an oval circle, in units of the circle's radius.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Encoder {
     /// The circle's centre from the axis.
@@ -9,12 +9,12 @@ pub struct Encoder {
     pub oval: f64,
     /// The same along and across the direction half a right angle from zero.
     pub oval_diagonal: f64,
-    /// What is shown at an angle of zero of a perfect circle, rad.
+    /// Reading at an angle of zero on a perfect circle, rad.
     pub zero: f64,
 }
 
 impl Encoder {
-    /// What it shows over the true angle, rad.
+    /// Its reading minus the true angle, rad.
     ///
     /// On a circle that is squeezed by S and shifted by e, a head in the direction u stands over the mark in the direction S u - e.
     pub fn error(&self, angle: f64) -> f64 {
@@ -22,7 +22,7 @@ impl Encoder {
         let x = (1.0 + self.oval) * cos + self.oval_diagonal * sin - self.centre[0];
         let y = self.oval_diagonal * cos + (1.0 - self.oval) * sin - self.centre[1];
         let (across, along) = (cos * y - sin * x, cos * x + sin * y);
-        // An arctangent of the ratio takes half the time, and is the same where the head stands over its own side of the circle.
+        // An arctangent of the ratio takes half the time, and is the same if the head is over its own side of the circle.
         self.zero + if along > 0.5 { (across / along).atan() } else { across.atan2(along) }
     }
 }

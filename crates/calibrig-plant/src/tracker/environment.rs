@@ -1,4 +1,4 @@
-//! The air between the instrument and its target: what the range makes of it, and how it bends the beam.
+//! The air between the instrument and its target: its effects on the range, and how it bends the beam.
 
 use nalgebra::Vector3;
 use rand::Rng;
@@ -13,23 +13,24 @@ fn index_per_kelvin(air: &Air) -> f64 {
     (at(0.5) - at(-0.5)) / air.refractive_index()
 }
 
-/// The air of a session, and how well the instrument's sensors know it.
+/// The air of a session, and the uncertainty of the instrument's sensors.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EnvironmentLaw {
     /// As it is.
     pub air: Air,
-    /// Standard deviations of the sensors' errors: K, Pa and 1 of relative humidity. They stay the same for a session.
+    /// Standard deviations of the sensors' errors: K, Pa and 1 of relative humidity. The errors are constant during a
+    /// session.
     pub sensor_sigma: Air,
-    /// How much warmer it is a metre higher, K/m.
+    /// Temperature gradient upwards, K/m.
     pub gradient: f64,
 }
 
-/// What the air does to the readings of a session.
+/// Effects of the air on the readings of a session.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AirErrors {
-    /// What the range shows over the length, relative: the real index over the one that is assumed.
+    /// Displayed range over the length, relative: the real index over the assumed one.
     pub scale: f64,
-    /// Relative change of the refractive index a metre higher, 1/m.
+    /// Relative change of the refractive index per metre of height, 1/m.
     pub index_gradient: f64,
 }
 
@@ -40,7 +41,7 @@ impl Default for AirErrors {
 }
 
 impl EnvironmentLaw {
-    /// Whether it can be.
+    /// Whether it is valid.
     pub fn check(&self) -> Result<(), TrackerError> {
         self.air.check()?;
         let sigmas = [
@@ -75,7 +76,7 @@ impl EnvironmentLaw {
         }
     }
 
-    /// Standard deviation of the range's scale that the sensors leave, 1.
+    /// Standard deviation of the range's scale due to the sensors, 1.
     pub fn scale_sigma(&self) -> f64 {
         let [air, sigma] = [&self.air, &self.sensor_sigma];
         let index = air.refractive_index();
@@ -88,18 +89,18 @@ impl EnvironmentLaw {
     }
 }
 
-/// Ten times what a hall with a heated roof has.
+/// Ten times that of a hall with a heated roof.
 const MOST_GRADIENT: f64 = 20.0;
 
 impl AirErrors {
-    /// Where a point (tracker frame, m) seems to be in layered air: in the direction in which the beam leaves, which is the tangent of an arc of
+    /// Apparent place of a point (tracker frame, m) in layered air: in the direction in which the beam leaves, which is the tangent of an arc of
     /// curvature κ to the point, κ = (index gradient) cos E.
     pub(super) fn apparent(&self, point: &Vector3<f64>) -> Vector3<f64> {
         let flat = point.x.hypot(point.y);
         if self.index_gradient == 0.0 || flat == 0.0 {
             return *point;
         }
-        // κ R / 2, with R cos E the distance along the ground. Light bends towards the denser air, so that it seems to come from higher up where
+        // κ R / 2, with R cos E the distance along the ground. Light bends towards the denser air, so that it seems to come from higher up if
         // that is below.
         let raise = -(0.5 * self.index_gradient * flat).asin();
         let (sin, cos) = raise.sin_cos();
@@ -107,7 +108,7 @@ impl AirErrors {
         Vector3::new(ground * point.x, ground * point.y, point.z * cos + flat * sin)
     }
 
-    /// What the range shows over the way to a point at this height over the tracker, m: the air half-way up counts.
+    /// Displayed range over the path to a point at this height above the tracker, m: the air half-way up counts.
     pub(super) fn range_factor(&self, height: f64) -> f64 {
         self.scale * (1.0 + 0.5 * self.index_gradient * height)
     }

@@ -2,11 +2,11 @@
 
 use thiserror::Error;
 
-/// A point that the tracker cannot measure, or a tracker that cannot be.
+/// A point that the tracker cannot measure, or an invalid tracker.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[non_exhaustive]
 pub enum TrackerError {
-    /// Too near or too far.
+    /// Too close or too far.
     #[error("range {range:.3} m is outside the tracker's {least} to {most} m")]
     Range {
         /// m
@@ -18,7 +18,7 @@ pub enum TrackerError {
     },
     /// The head or the telescope does not turn as far.
     #[error(
-        "{angle} {:.2} deg is outside the {:.2} to {:.2} deg to which the tracker's range of angles goes",
+        "{angle} {:.2} deg is outside the tracker's range of {:.2} to {:.2} deg",
         value.to_degrees(), least.to_degrees(), most.to_degrees()
     )]
     Angle {
@@ -31,9 +31,9 @@ pub enum TrackerError {
         /// rad
         most: f64,
     },
-    /// So near to the standing axis that a beam beside it cannot be turned there.
+    /// So close to the standing axis that a beam with an offset cannot be turned there.
     #[error(
-        "a point {distance:.6} m beside the standing axis is out of range: the beam passes beside it at any azimuth"
+        "a point {distance:.6} m from the standing axis is out of reach: the beam misses it at any azimuth"
     )]
     BesideTheAxis {
         /// Of the point from the axis, m.
@@ -49,19 +49,20 @@ pub enum TrackerError {
         /// m or rad
         value: f64,
     },
-    /// A figure of the instrument or of its session that cannot be.
+    /// An invalid figure of the instrument or of its session.
     #[error("the instrument's {quantity} is {value}: expected {expected}")]
     Figure {
         /// Which, with its unit.
         quantity: &'static str,
         /// In that unit.
         value: f64,
-        /// What was.
+        /// What was expected.
         expected: &'static str,
     },
-    /// An instrument that is permitted less than its own errors.
+    /// An instrument whose errors exceed its own permissible ones.
     #[error(
-        "of {drawn} instruments with these figures none passes its own acceptance test: expected a smaller systematic or random fraction"
+        "none of {drawn} instruments drawn with these figures passes its own acceptance test: expected a smaller systematic \
+         or random fraction"
     )]
     NeverAccepted {
         /// How many were drawn.

@@ -1,4 +1,4 @@
-//! What a data sheet permits an instrument, and how its errors are distributed within that.
+//! The permissible errors of a data sheet, and how an instrument's errors are distributed within them.
 
 use std::f64::consts::{PI, TAU};
 
@@ -22,7 +22,7 @@ impl ErrorLine {
     }
 }
 
-/// Ranges that a tracker can measure where no data sheet says otherwise, m.
+/// Ranges that a tracker can measure unless a data sheet states otherwise, m.
 pub const WORKING_RANGE: [f64; 2] = [0.1, 30.0];
 
 /// Where an instrument can measure.
@@ -39,7 +39,7 @@ pub struct Limits {
 }
 
 impl Limits {
-    /// No more than what every tracker has: a working range.
+    /// Only what every tracker has: a working range.
     pub const WIDE: Self = Self {
         range: WORKING_RANGE,
         azimuth: [-TAU, TAU],
@@ -47,7 +47,7 @@ impl Limits {
         temperature: [f64::NEG_INFINITY, f64::INFINITY],
     };
 
-    /// Whether the tracker can turn its beam to a point in its own frame (m), whatever the turns of its head before.
+    /// Whether the tracker can turn its beam to a point in its own frame (m), regardless of earlier turns of its head.
     ///
     /// # Errors
     ///
@@ -74,37 +74,37 @@ impl Limits {
     }
 }
 
-/// What an angle may be beyond its limits by an error of the instrument, rad.
+/// How far an angle may be beyond its limits because of an instrument error, rad.
 pub(super) const SLACK: f64 = 1e-3;
 
-/// What an instrument's data sheet permits, and how much of it is its random and its systematic error.
+/// The permissible errors of a data sheet, and the shares of random and systematic error.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Instrument {
-    /// After which it is modelled.
+    /// Source of the model.
     pub preset: Option<Preset>,
     /// Maximum permissible transverse error (ASME-B89.4.19-style).
     pub transverse: ErrorLine,
     /// Maximum permissible range error.
     pub range: ErrorLine,
-    /// Maximum permissible error of the range's zero (R0), m, where the data sheet has one.
+    /// Maximum permissible error of the range's zero (R0), m, if the data sheet states one.
     pub range_zero: Option<f64>,
-    /// Where it can measure.
+    /// Its limits.
     pub limits: Limits,
-    /// Standard deviation of one observation of 1 s over the permissible error. An independent error of half the MPE a shot would not pass
-    /// the instrument's own acceptance test; scatter measured on real trackers is about one eighth.
+    /// Standard deviation of one observation of 1 s over the permissible error. Independent errors of half the MPE per shot would fail the
+    /// instrument's own acceptance test; scatter measured on real trackers is about one eighth.
     pub random_fraction: f64,
-    /// Standard deviation of what the air does to both angles, rad; longer averaging does not remove it.
+    /// Standard deviation of the air's effect on both angles, rad; longer averaging does not remove it.
     pub air: f64,
     /// Standard deviation of each systematic error over the permissible one: of lengths over the offset of its line, of angles and scale over its
     /// slope. Zero: none.
     pub systematic_fraction: f64,
-    /// How much larger its real errors are than the stated ones, on which its acceptance and all that is told of it rest.
+    /// Ratio of its real errors to the stated ones, on which its acceptance and all statements rest.
     pub real: RealErrors,
-    /// Whether readings are in error; without, they do not scatter, nothing is drawn of the tracker either, and the stated covariance stays.
+    /// Whether readings have errors; without, they do not scatter and nothing is drawn for the tracker, but the stated covariance stays.
     pub noise: bool,
 }
 
-/// Real errors over stated ones: an instrument that was knocked after its last test is no longer what its certificate says.
+/// Real errors over stated ones: an instrument that was knocked after its last test is no longer as certified.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RealErrors {
     /// Of the scatter of single readings.
@@ -114,21 +114,21 @@ pub struct RealErrors {
 }
 
 impl RealErrors {
-    /// As the certificate says.
+    /// As certified.
     pub const AS_STATED: Self = Self { random: 1.0, systematic: 1.0 };
 }
 
 /// About one eighth of the permissible error, as scatter measured on real trackers is.
 pub const RANDOM_FRACTION: f64 = 0.125;
 
-/// With which drawn instruments have the typical error that data sheets tell, half of the permissible one.
+/// Value with which drawn instruments have the typical error of data sheets, half of the permissible one.
 pub const SYSTEMATIC_FRACTION: f64 = 0.2;
 
 /// Averaging time for which [`Instrument::random_fraction`] is stated, s.
 pub const STATED_AVERAGING: f64 = 1.0;
 
 impl Instrument {
-    /// An instrument that errs at random alone, by `random_fraction` of what is permitted.
+    /// An instrument with only random errors, of `random_fraction` of the permissible ones.
     pub const fn of_noise(transverse: ErrorLine, range: ErrorLine, random_fraction: f64) -> Self {
         Self {
             preset: None,
@@ -144,7 +144,7 @@ impl Instrument {
         }
     }
 
-    /// Standard deviations of range (m) and of each angle (rad) at a range (m), averaged for so long (s).
+    /// Standard deviations of range (m) and of each angle (rad) at a range (m), averaged over this time (s).
     pub(super) fn sigmas(&self, range: f64, averaging: f64) -> Result<[f64; 2], TrackerError> {
         if !(averaging > 0.0 && averaging.is_finite()) {
             return Err(TrackerError::Figure {
@@ -166,7 +166,7 @@ impl Instrument {
         Ok([sigma_range, sigma_angle])
     }
 
-    /// Whether its figures can be those of an instrument.
+    /// Whether its figures are valid for an instrument.
     pub fn check(&self) -> Result<(), TrackerError> {
         self.sigmas(1.0, STATED_AVERAGING)?;
         let zero_or_more = [

@@ -1,4 +1,4 @@
-//! What the axes, the beam and the encoders of an instrument make of a point, from their geometry.
+//! Effects of the axes, the beam and the encoders of an instrument on a reading, from their geometry.
 //!
 //! A head turns about the standing axis z by θ and carries, at [`transit_offset`](Misalignment::transit_offset) along its own x, the transit axis, which
 //! is its y lifted by [`axis_tilt`](Misalignment::axis_tilt). A telescope turns about that by φ and carries the beam, which leaves at an offset along the transit
@@ -8,7 +8,8 @@
 //! P(θ, φ, ρ) = Rz(θ) · [ (t, 0, 0) + Rx(i) · Ry(-φ) · ( (0, b_y, b_z) + ρ (cos c, sin c, 0) ) ]
 //! ```
 //!
-//! A reading is what the encoders and the range show at the (θ, φ, ρ) that reach the target. The instrument takes them for those of perfect axes.
+//! A reading consists of what the encoders and the range show at the (θ, φ, ρ) that reach the target. The instrument interprets them as those of
+//! perfect axes.
 
 use calibrig_model::measurement::{Face, InstrumentTerm};
 use nalgebra::Vector3;
@@ -19,7 +20,7 @@ use super::encoder::Encoder;
 /// The errors of an instrument's geometry. The default has none.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Misalignment {
-    /// The transit axis before the standing axis, along the head's x, m.
+    /// The transit axis in front of the standing axis, along the head's x, m.
     pub transit_offset: f64,
     /// Where the beam leaves, along the transit axis (`b_y`) and across it (`b_z`), m.
     pub beam_offset: [f64; 2],
@@ -27,7 +28,7 @@ pub struct Misalignment {
     pub collimation: f64,
     /// The transit axis from a right angle to the standing axis, its positive end up, rad.
     pub axis_tilt: f64,
-    /// What the range shows over the way of the beam: m, and relative.
+    /// Errors of the displayed range over the length of the beam: m, and relative.
     pub range_offset: f64,
     /// The same, relative.
     pub range_scale: f64,
@@ -37,7 +38,7 @@ pub struct Misalignment {
     pub elevation: Encoder,
 }
 
-/// What an instrument shows of a point: range (m), azimuth and elevation (rad) as of its direction, whatever the face.
+/// Reading of a point: range (m), azimuth and elevation (rad) as of its direction, whatever the face.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Shown {
     /// m
@@ -48,19 +49,19 @@ pub struct Shown {
     pub elevation: f64,
 }
 
-/// Most rounds of the solution. Each makes the error smaller by offset times angle over the distance: of an instrument two are enough.
+/// Most rounds of the solution. Each reduces the error by offset times angle over the distance: for an instrument two are enough.
 const ROUNDS: usize = 6;
 
 impl Misalignment {
-    /// With errors by the name of what they do: an error of amplitude x (m, rad or 1) displaces small readings as
-    /// [`InstrumentTerm`] says. The same amplitudes are taken in any order; those of one name add up.
+    /// With errors named by their effect: an error of amplitude x (m, rad or 1) displaces small readings as
+    /// [`InstrumentTerm`] states. The order of the amplitudes does not matter; those of one name add up.
     pub fn of(errors: impl IntoIterator<Item = (InstrumentTerm, f64)>) -> Self {
         let mut own = Self::default();
         for (term, x) in errors {
             match term {
                 InstrumentTerm::RangeOffset => own.range_offset += x,
                 InstrumentTerm::RangeScale => own.range_scale += x,
-                // What lies before the standing axis makes the way shorter, and what is beside it turns the head back.
+                // An offset in front of the standing axis shortens the path, and one to the side turns the head back.
                 InstrumentTerm::TransitOffset => own.transit_offset -= x,
                 InstrumentTerm::BeamOffsetTransverse => own.beam_offset[0] -= x,
                 InstrumentTerm::BeamOffsetNormal => own.beam_offset[1] -= x,
@@ -80,8 +81,8 @@ impl Misalignment {
         own
     }
 
-    /// What [`of`](Self::of) makes it of: the amplitude (m, rad or 1) of every error, to first order and in the order of [`InstrumentTerm::ALL`]. The zero
-    /// of the azimuth is not among them: it is where the instrument is turned to.
+    /// The inverse of [`of`](Self::of): the amplitude (m, rad or 1) of every error, to first order and in the order of [`InstrumentTerm::ALL`]. The
+    /// zero of the azimuth is not among them: it belongs to the instrument's orientation.
     pub fn amplitudes(&self) -> Vec<(InstrumentTerm, f64)> {
         let Self { transit_offset, beam_offset, collimation, axis_tilt, range_offset, range_scale, .. } =
             *self;
@@ -107,11 +108,11 @@ impl Misalignment {
         InstrumentTerm::ALL.map(|term| (term, amplitude(term))).to_vec()
     }
 
-    /// What is shown of a point in the tracker's frame (m).
+    /// The reading of a point in the tracker's frame (m).
     pub fn read(&self, point: &Vector3<f64>, face: Face) -> Result<Shown, TrackerError> {
         if face == Face::Both {
             let (front, back) = (self.read(point, Face::Front)?, self.read(point, Face::Back)?);
-            // Both show the direction of the point, and may be a turn apart.
+            // Both show the direction of the point, but may differ by a turn.
             let turns = ((back.azimuth - front.azimuth) / std::f64::consts::TAU).round();
             return Ok(Shown {
                 range: f64::midpoint(front.range, back.range),
@@ -161,7 +162,7 @@ impl Misalignment {
                 let phi = up.atan2(ahead) - lead;
                 (theta + self.azimuth.error(theta), phi + self.elevation.error(phi))
             }
-            // The head shows half a turn more than the direction, the telescope what is left to half a turn.
+            // The head shows half a turn more than the direction, the telescope half a turn minus it.
             Face::Back => {
                 let theta = direction + turn;
                 let phi = up.atan2(-ahead) + lead;

@@ -1,8 +1,8 @@
-//! Readings that do not come: the beam is lost, or the operator's trigger is.
+//! Missing readings: the beam or the operator's trigger is lost.
 
 use rand::{Rng, RngExt};
 
-/// Whether a reading does not come, of which this share (0 to 1) does not. Takes one number from `rng`, whatever the share is.
+/// Whether a reading is missing, with this probability (0 to 1). Takes one number from `rng`, whatever the probability is.
 pub fn is_missed(fraction: f64, rng: &mut impl Rng) -> bool {
     rng.random::<f64>() < fraction
 }

@@ -1,12 +1,12 @@
-//! The laser tracker: what it shows of a point.
+//! The laser tracker: its reading of a point.
 //!
-//! An [`Instrument`] is a data sheet, and how errors are distributed within what the sheet permits; [`Preset`] names some. Its systematic
-//! errors are drawn once ([`LaserTracker::drawn`]) and made from the geometry of its axes and encoders ([`Misalignment`]): one that fails the virtual
-//! [acceptance] test is not sold, and another is drawn. The air of a session ([`EnvironmentLaw`]) and the motion of the tracker on its stand
-//! ([`DriftLaw`]) are drawn once a session; the random part is new in every reading. What is not asked for is not there: a tracker that was only
-//! [placed](LaserTracker::levelled) errs at random alone.
+//! An [`Instrument`] is a data sheet, and how errors are distributed within its permissible ones; [`Preset`] names some. Its systematic errors are
+//! drawn once ([`LaserTracker::drawn`]) and computed from the geometry of its axes and encoders ([`Misalignment`]): an instrument that fails the
+//! virtual [acceptance] test is not sold, and another is drawn. The air ([`EnvironmentLaw`]) and the motion of the tracker on its stand
+//! ([`DriftLaw`]) are drawn once per session; the random part is new in every reading. Each is optional: a tracker that was only
+//! [placed](LaserTracker::levelled) has only random errors.
 //!
-//! Reflectors ([`Smr`]), gross errors ([`Outliers`]) and readings that do not come ([`is_missed`]) are with the session that uses them. An
+//! Reflectors ([`Smr`]), gross errors ([`Outliers`]) and missing readings ([`is_missed`]) belong to the session that uses them. An
 //! interferometer that counts from a home position is not modelled: every range is absolute.
 
 pub mod acceptance;
@@ -53,16 +53,16 @@ use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::{Face, InstrumentTerm, SphericalReading, StatedInstrument};
 use calibrig_model::random::{Source, stream_at};
 
-/// What a session is like beside its instrument. The default has none of it.
+/// Conditions of a session besides its instrument. The default has none.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Conditions {
-    /// The air, where it is not that for which the instrument assumes its refractive index.
+    /// The air, if it differs from that for which the instrument assumes its refractive index.
     pub environment: Option<EnvironmentLaw>,
     /// How the tracker moves on its stand.
     pub drift: Option<DriftLaw>,
     /// The reflectors.
     pub smr: Option<SmrLaw>,
-    /// Share of the readings that do not come, 0 to 1.
+    /// Share of missing readings, 0 to 1.
     pub misses: f64,
 }
 
@@ -71,7 +71,7 @@ pub struct Conditions {
 pub struct TrackerErrors {
     /// Of its geometry.
     pub misalignment: Misalignment,
-    /// Instruments drawn before it that failed their acceptance test.
+    /// Number of instruments drawn before it that failed their acceptance test.
     pub redraws: u32,
     /// Of the air.
     pub air: AirErrors,
@@ -79,7 +79,7 @@ pub struct TrackerErrors {
     pub drift: Drift,
 }
 
-/// One reading, as the controller is told to take it.
+/// One reading, as requested from the controller.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Shot {
     /// Since the session began, s.
@@ -88,7 +88,7 @@ pub struct Shot {
     pub face: Face,
     /// Averaging time, s.
     pub averaging: f64,
-    /// The azimuth before, rad: the controller counts turns, and shows the azimuth that is nearest to it.
+    /// The azimuth before, rad: the controller counts turns, and shows the azimuth nearest to it.
     pub azimuth_before: f64,
 }
 
@@ -108,20 +108,20 @@ impl Shot {
 /// A tracker at its place.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LaserTracker {
-    /// What it is.
+    /// The instrument.
     pub instrument: Instrument,
-    /// What the session is like.
+    /// The conditions of the session.
     pub conditions: Conditions,
-    /// Where it really stands when the session begins.
+    /// Its real place when the session begins.
     pub tracker_from_base: Transform,
-    /// What is drawn of it, [once](Self::drawn) a session.
+    /// What is drawn for it, [once](Self::drawn) per session.
     pub errors: TrackerErrors,
 }
 
 impl LaserTracker {
     /// A levelled tracker without systematic errors at `position` (base frame, m), its azimuth zero turned by `yaw` rad about `up`.
     pub fn levelled(instrument: Instrument, position: Vector3<f64>, yaw: f64, up: &Vector3<f64>) -> Self {
-        // A base that hangs upside down is the one case without a shortest turn.
+        // A base that hangs upside down is the only case without a shortest turn.
         let level = Rotation3::rotation_between(&Vector3::z(), up)
             .unwrap_or_else(|| Rotation3::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
         let turned = level * Rotation3::from_axis_angle(&Vector3::z_axis(), yaw);
@@ -135,15 +135,15 @@ impl LaserTracker {
         Self { instrument, conditions, tracker_from_base, errors }
     }
 
-    /// Whether anything of it is drawn once a session.
+    /// Whether anything about it is drawn once per session.
     pub fn has_law(&self) -> bool {
         let Conditions { environment, drift, .. } = self.conditions;
         self.instrument.noise
             && (self.instrument.systematic_fraction > 0.0 || environment.is_some() || drift.is_some())
     }
 
-    /// The same with the errors that it has in the session of (seed, trial), which lasts `duration` s: an instrument that passes its acceptance test,
-    /// the session's air, and the motion of the station of this number. Stations of one session have one instrument and one air.
+    /// The same with its errors in the session of (seed, trial), which lasts `duration` s: an instrument that passes its acceptance test, the
+    /// session's air, and the motion of the station of this number. All stations of a session share one instrument and one air.
     pub fn drawn(&self, seed: u64, trial: u32, station: u64, duration: f64) -> Result<Self, TrackerError> {
         self.check()?;
         let mut own = self.clone();
@@ -152,7 +152,7 @@ impl LaserTracker {
             return Ok(own);
         }
         if self.instrument.systematic_fraction > 0.0 {
-            // It was tested when it was as stated.
+            // It was as stated when it was tested.
             let tested = Instrument { real: RealErrors::AS_STATED, ..self.instrument };
             let (passed, redraws) = acceptance::first_accepted(&tested, seed, trial)?;
             let real = self.instrument.real.systematic;
@@ -172,7 +172,7 @@ impl LaserTracker {
         Ok(own)
     }
 
-    /// Whether its figures, and those of the session, can be.
+    /// Whether its figures, and those of the session, are valid.
     pub fn check(&self) -> Result<(), TrackerError> {
         self.instrument.check()?;
         let Conditions { environment, drift, smr, misses } = &self.conditions;
@@ -188,7 +188,7 @@ impl LaserTracker {
         drift.as_ref().map_or(Ok(()), DriftLaw::check)?;
         smr.as_ref().map_or(Ok(()), SmrLaw::check)?;
         if !(0.0..=1.0).contains(misses) {
-            let quantity = "share of readings that do not come";
+            let quantity = "share of missing readings";
             return Err(TrackerError::Figure { quantity, value: *misses, expected: "0 to 1" });
         }
         Ok(())
@@ -202,8 +202,8 @@ impl LaserTracker {
         self.errors.drift.now_from_first(time) * self.tracker_from_base
     }
 
-    /// What an operator knows of the errors that all readings share: the name, and from data sheet and sensors a standard deviation of each error that
-    /// the instrument can have. No errors listed: it is taken to have none.
+    /// What an operator knows about the errors that all readings share: the name and, from data sheet and sensors, a standard deviation of each error
+    /// that the instrument can have. An empty list: it is assumed to have none.
     pub fn stated(&self) -> StatedInstrument {
         let name = self.instrument.preset.map_or("tracker", Preset::key).to_owned();
         let air = self.conditions.environment.as_ref().map_or(0.0, EnvironmentLaw::scale_sigma);
@@ -219,8 +219,8 @@ impl LaserTracker {
         }
     }
 
-    /// The amplitude (m, rad or 1) that each error of the instrument really has, to first order: those of its geometry, and in the range's scale what the
-    /// sensed air leaves. How layered air bends the beam is none of them.
+    /// The real amplitude (m, rad or 1) of each error of the instrument, to first order: those of its geometry and, in the range's scale, what the
+    /// sensed air leaves. The bending of the beam by layered air is not among them.
     pub fn real_errors(&self) -> Vec<(InstrumentTerm, f64)> {
         let mut errors = self.errors.misalignment.amplitudes();
         for (_, scale) in errors.iter_mut().filter(|(term, _)| *term == InstrumentTerm::RangeScale) {
@@ -229,7 +229,7 @@ impl LaserTracker {
         errors
     }
 
-    /// Observes a point of the base frame (m). The stated covariance is the one of the random part and of what the air adds to it. Takes the same numbers
+    /// Observes a point of the base frame (m). The stated covariance is that of the random part and of the air's contribution. Takes the same numbers
     /// from `rng` whatever the point and the instrument are.
     pub fn measure(
         &self,
@@ -237,7 +237,8 @@ impl LaserTracker {
         shot: &Shot,
         rng: &mut impl Rng,
     ) -> Result<SphericalReading, TrackerError> {
-        // Drawn whether used or not, so that neither the noise nor a point out of range moves another number of the stream.
+        // Drawn whether used or not, so that neither the noise nor a point out of range shifts another number of the
+        // stream.
         let units: [f64; 3] = std::array::from_fn(|_| StandardNormal.sample(rng));
         let first = self.tracker_from_base.rotation * in_base + self.tracker_from_base.translation.vector;
         let drift = &self.errors.drift;
@@ -266,7 +267,7 @@ impl LaserTracker {
             ))),
             face: shot.face,
         };
-        // Errors as large as the way leave nothing that can be shown.
+        // With errors as large as the path nothing can be displayed.
         if !(reading.range > 0.0 && reading.range.is_finite()) {
             return Err(TrackerError::Range { range: reading.range, least, most });
         }

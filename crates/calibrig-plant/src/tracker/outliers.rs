@@ -1,10 +1,11 @@
-//! Gross errors: a reading of another place than the target's.
+//! Gross errors: readings of another place than the target's.
 
 use nalgebra::Vector3;
 use rand::{Rng, RngExt};
 use rand_distr::{Distribution, UnitSphere};
 
-/// How often a reading is a gross error, such as of a target that was not seated in its nest, and how far off it then is.
+/// How often a reading is a gross error, for example because the target was not seated in its nest, and how large it then
+/// is.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Outliers {
     /// Probability of one.
@@ -16,7 +17,7 @@ pub struct Outliers {
 }
 
 impl Outliers {
-    /// What a reading is off by, m: in a random direction, by a distance uniform between the two. `None` of a sound one.
+    /// Error of a reading, m: in a random direction, with a length uniform between the two. `None` for a sound one.
     ///
     /// Takes the same numbers from `rng` whatever the fraction and the distances are.
     pub fn draw(&self, rng: &mut impl Rng) -> Option<Vector3<f64>> {

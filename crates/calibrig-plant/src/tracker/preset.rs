@@ -1,8 +1,8 @@
-//! Instruments by name, with figures of data sheets alone.
+//! Instruments by name, with figures from data sheets only.
 
 use super::instrument::{ErrorLine, Instrument, Limits, RANDOM_FRACTION, SYSTEMATIC_FRACTION};
 
-/// An instrument after a data sheet. How its errors are distributed within what the sheet permits is assumed, the same for all.
+/// An instrument after a data sheet. How its errors are distributed within the permissible ones is assumed, the same for all.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Preset {
     /// Like a Leica Absolute Tracker AT500.
@@ -36,7 +36,7 @@ impl Preset {
         Self::ALL.into_iter().find(|preset| preset.key() == key)
     }
 
-    /// Where its figures are from.
+    /// Source of its figures.
     pub fn source(self) -> &'static str {
         match self {
             Self::At500 => {
@@ -50,25 +50,26 @@ impl Preset {
         }
     }
 
-    /// What no source gives, and what stands in its place.
+    /// What no source gives, and the assumption in its place.
     pub fn left_out(self) -> &'static str {
         match self {
             Self::At500 => {
                 "its limits of range, angles and temperature: 0.1 to 30 m, any angle and temperature"
             }
             Self::At960 => {
-                "its range error, which is taken as large as the transverse one; its limits: 0.1 to 30 m, any angle and temperature"
+                "its range error, taken as large as the transverse one; its limits: 0.1 to 30 m, any angle and temperature"
             }
             Self::Vantage => {
                 "the zero of its range; its limits of angles, of which only a span of 130 deg in elevation is known: any angle"
             }
             Self::Gts3800 => {
-                "its range error apart, which a point's error bounds: taken as large; its limits: 0.1 to 30 m, any angle and temperature"
+                "its range error alone, which the error of a point bounds: taken as large; its limits: 0.1 to 30 m, any angle \
+                 and temperature"
             }
         }
     }
 
-    /// The instrument, with the systematic and random parts of its permissible errors that real ones show.
+    /// The instrument, with the systematic and random shares of the permissible errors that real ones show.
     pub fn instrument(self) -> Instrument {
         let line = |offset: f64, per_metre: f64| ErrorLine { offset: offset * UM, per_metre: per_metre * UM };
         let plain = |transverse, range| Instrument {

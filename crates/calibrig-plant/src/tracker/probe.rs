@@ -1,4 +1,4 @@
-//! A target with axes of its own, whose orientation is measured with its place: a six-degree-of-freedom probe.
+//! A target with axes of its own, whose orientation is measured together with its place: a six-degree-of-freedom probe.
 
 use nalgebra::{Matrix3, Matrix6, Rotation3, Vector3};
 use rand::Rng;
@@ -10,11 +10,11 @@ use calibrig_model::measurement::{PoseReading, SphericalReading, TargetOrientati
 /// A probe on the flange. Its place is measured as that of any target.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Probe {
-    /// How it really is turned: `flange_from_target`.
+    /// Its real orientation: `flange_from_target`.
     pub flange_from_target: Rotation3<f64>,
     /// Standard deviation of a measured orientation about each axis, rad.
     pub turn_sigma: f64,
-    /// Standard deviation about each axis of what is stated of `flange_from_target`, rad; `None` where nobody knows it.
+    /// Standard deviation about each axis of the stated `flange_from_target`, rad; `None` if it is unknown.
     pub mounting_sigma: Option<f64>,
     /// Whether orientations scatter, as the tracker's readings do.
     pub noise: bool,
@@ -25,7 +25,7 @@ fn drawn(rng: &mut impl Rng) -> Vector3<f64> {
 }
 
 impl Probe {
-    /// What is stated of its orientation: the real one with its error, or that of the flange where nobody knows it.
+    /// Its stated orientation: the real one with an error, or that of the flange if it is unknown.
     pub fn stated(&self, rng: &mut impl Rng) -> TargetOrientation {
         let error = drawn(rng);
         match self.mounting_sigma {
@@ -40,7 +40,7 @@ impl Probe {
         }
     }
 
-    /// The full pose of which `place` is the reading of the position. Takes the same numbers from `rng` whatever the pose is.
+    /// The full pose to which `place` is the reading of the position. Takes the same numbers from `rng` whatever the pose is.
     pub fn measure(
         &self,
         place: &SphericalReading,

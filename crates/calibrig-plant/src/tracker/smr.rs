@@ -1,4 +1,5 @@
-//! A spherically mounted retroreflector: its optical centre beside the centre of its sphere, and how it sits in a nest.
+//! A spherically mounted retroreflector: its optical centre relative to the centre of its sphere, and its seat in a
+//! nest.
 
 use std::f64::consts::PI;
 
@@ -8,7 +9,7 @@ use rand_distr::{Distribution, StandardNormal};
 
 use super::TrackerError;
 
-/// How well reflectors of a kind are made, and how well they sit.
+/// How precisely reflectors of a kind are made and seated.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SmrLaw {
     /// Standard deviation of the optical centre along each axis of the reflector, m.
@@ -20,7 +21,7 @@ pub struct SmrLaw {
 }
 
 impl SmrLaw {
-    /// Whether it can be.
+    /// Whether it is valid.
     pub fn check(&self) -> Result<(), TrackerError> {
         for (quantity, value) in
             [("centring of the SMR in m", self.centring_sigma), ("seat of the SMR in m", self.seat_sigma)]
@@ -57,7 +58,7 @@ pub struct Smr {
 }
 
 impl Smr {
-    /// Without an error, and seen from everywhere.
+    /// Without an error, and visible from everywhere.
     pub const PERFECT: Self = Self { centring: Vector3::new(0.0, 0.0, 0.0), seat_sigma: 0.0, acceptance: PI };
 
     /// Its optical centre from the centre of its sphere in the base frame (m), turned as given.
@@ -65,20 +66,19 @@ impl Smr {
         base_from_smr * self.centring
     }
 
-    /// The same of one that is turned to look along a direction of the base frame, as a hand does that puts it into a nest; about that direction
-    /// it is turned by the shortest way.
+    /// The same for one that is turned by hand to face a direction of the base frame, as when it is put into a nest; it takes the shortest turn.
     pub fn offset_towards(&self, direction: &Vector3<f64>) -> Vector3<f64> {
         let turned = Rotation3::rotation_between(&Vector3::x(), direction)
             .unwrap_or_else(|| Rotation3::from_axis_angle(&Vector3::z_axis(), PI));
         self.offset(&turned)
     }
 
-    /// Where its sphere comes to lie beside the nest's place, m; another each time. Takes three numbers from `rng`.
+    /// Displacement of its sphere from the nest's place, m; different each time. Takes three numbers from `rng`.
     pub fn seat(&self, rng: &mut impl Rng) -> Vector3<f64> {
         self.seat_sigma * vector(rng)
     }
 
-    /// Whether it sends back a beam from this direction (from it to the tracker, base frame) when it looks along the other.
+    /// Whether it returns a beam from the first direction (from it to the tracker, base frame) when it faces the second.
     pub fn accepts(&self, axis: &Vector3<f64>, to_tracker: &Vector3<f64>) -> bool {
         axis.angle(to_tracker) <= self.acceptance
     }

@@ -1,7 +1,7 @@
 //! Which systematic errors an instrument of a kind has.
 //!
-//! Sizes follow from what its data sheet permits: a length (of axes, beam, range) has a standard deviation of a share of the permissible
-//! error's offset, an angle and the range's scale one of its slope.
+//! Sizes follow from the permissible errors of the data sheet: a length (of axes, beam, range) has a standard deviation of a share of
+//! the permissible error's offset, an angle and the range's scale one of its slope.
 
 use calibrig_model::measurement::InstrumentTerm;
 use rand::Rng;
@@ -34,7 +34,8 @@ impl Instrument {
         self.systematic_fraction * permitted
     }
 
-    /// The real errors of one of the kind, tested or not. Takes one number from `rng` for each error, whatever their sizes are.
+    /// The real errors of one instrument of the kind, whether it passes its test or not. Takes one number from `rng` for each
+    /// error, whatever the sizes are.
     pub fn draw_misalignment(&self, rng: &mut impl Rng) -> Misalignment {
         Misalignment::of(InstrumentTerm::ALL.map(|term| {
             let unit: f64 = StandardNormal.sample(rng);

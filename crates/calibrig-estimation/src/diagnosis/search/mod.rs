@@ -10,7 +10,7 @@ use super::rows::is_code;
 use super::session::{Session, View};
 use super::tried::structural;
 use super::{FarOff, Hypothesis};
-use crate::kinematics::PlacedChain;
+use crate::kinematics::KinematicChain;
 use crate::plausibility::unreachable;
 use calibrig_model::CalibrationModel;
 use calibrig_model::measurement::MeasurementSet;
@@ -44,7 +44,7 @@ struct Search<'a> {
     few: Session<'a>,
     /// The complete session, or a larger part of it.
     all: Session<'a>,
-    chain: PlacedChain,
+    chain: KinematicChain,
     spread: f64,
     /// Cost of a part that concerns all rows: it depends on the number of such parts.
     cost: f64,
@@ -141,7 +141,7 @@ impl<'a> Search<'a> {
         few.kept = every(&kept, TRIED);
         (all.sound, few.sound) = (kept.clone(), kept.clone());
         let view = all.view(&[])?;
-        let mut chain = PlacedChain::new(&model.kinematics);
+        let mut chain = KinematicChain::new(&model.kinematics);
         let spread = Cloud::new(&view, &mut chain).spread();
         let progress = Progress { tell, stage: [0, 0] };
         (spread > 0.0 && kept.len() > 2).then_some(Self {

@@ -1,6 +1,6 @@
 //! Weighs hypotheses that fit approximately, on more rows.
 
-use super::super::evidence::{Fit, fit};
+use super::super::evidence::{HypothesisFit, fit};
 use super::super::part::Part;
 use super::super::place::{Cloud, Placed};
 use super::super::rows::cost_of_row;
@@ -63,7 +63,13 @@ impl Search<'_> {
         !(placed.share < 1.0) || placed.offsets.iter().any(|offset| offset.norm() > longest)
     }
 
-    pub(super) fn weighed(&self, parts: &[Part], view: &View, placed: Placed, fit: &Fit) -> Weighed {
+    pub(super) fn weighed(
+        &self,
+        parts: &[Part],
+        view: &View,
+        placed: Placed,
+        fit: &HypothesisFit,
+    ) -> Weighed {
         let n = self.all.kept.len();
         let lost = (n - view.rows.len().min(n)) as f64;
         let score = fit.score

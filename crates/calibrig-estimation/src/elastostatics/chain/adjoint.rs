@@ -9,10 +9,10 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::parts::Slot;
-use super::place::finite;
-use super::screw::{Loads, Screw};
+use super::loads::Loads;
+use super::structure::Slot;
 use super::{Deflection, ElasticChain, ElasticError, MOST_ITERATIONS, ROUNDED};
+use crate::kinematics::{Screw, TARGET, finite};
 use calibrig_model::{ActuatorMap, Compliance, LinkTerm, LinkageTerm, ModelError, ParameterId, TermPlace};
 
 /// Change of a sweep, relative to the largest entry, below which the adjoint has converged: what is left is a hundredth of it.
@@ -65,8 +65,7 @@ impl Seen {
     pub fn moved_by(&self, screw: &Screw) -> Vector3<f64> {
         match self {
             Self::Place(target) => screw.moves(target),
-            Self::Turn if screw.about => screw.axis,
-            Self::Turn => Vector3::zeros(),
+            Self::Turn => screw.turns(),
         }
     }
 }
@@ -133,7 +132,7 @@ impl ElasticChain {
     ///
     /// [`ElasticError::NotSettled`] if the equilibrium is hardly stable; [`ElasticError::Model`] for a target at no finite place.
     pub fn prepare(&mut self, in_flange: &Vector3<f64>) -> Result<(), ElasticError> {
-        finite("the target's offset", None, in_flange.as_slice())?;
+        finite(TARGET, None, in_flange.as_slice())?;
         self.differentiate(in_flange)
     }
 
@@ -231,10 +230,10 @@ impl ElasticChain {
     fn set_curvature(&mut self) {
         let a = &mut self.adjoint;
         let mut outboard = Loads::none();
-        let mut lumps = self.lumps.iter().rev().peekable();
+        let mut loads = self.loads.iter().rev().peekable();
         for (slot, kind) in self.slots.iter().enumerate().rev() {
-            while let Some(lump) = lumps.next_if(|l| l.inboard > slot) {
-                outboard.add(lump);
+            while let Some(load) = loads.next_if(|l| l.inboard > slot) {
+                outboard.add(load);
             }
             if *kind == Slot::Crank {
                 let crank = self.closed.crank_loads();
@@ -305,7 +304,7 @@ impl ElasticChain {
     /// μ, ρ and a `share` of the change of λ from `next`; tells the largest change of μ relative to its largest entry.
     fn take_over(&mut self, share: f64) -> f64 {
         let a = &mut self.adjoint;
-        let elbow = self.four_bar.as_ref().map(|f| self.parts[f.elbow].drive);
+        let elbow = self.four_bar.as_ref().map(|f| self.links[f.elbow].drive);
         a.rho = elbow.map_or_else(Vector3::zeros, |slot| a.next[slot] / self.closed.rate);
         // Axis by axis, so that several are compared at a time.
         let (mut changes, mut most) = (Vector3::zeros(), Vector3::zeros());
@@ -382,7 +381,7 @@ impl ElasticChain {
         match id {
             ParameterId::Link { link, term } => self.link_column(link, term),
             ParameterId::Target { axis, .. } => match self.adjoint.seen {
-                Seen::Place(_) => self.base_from_flange.rotation.matrix().column(axis).into_owned(),
+                Seen::Place(_) => self.kinematics.flange_axis(axis),
                 Seen::Turn => Vector3::zeros(),
             },
             ParameterId::Compliance(compliance) => self.compliance_column(compliance),
@@ -411,7 +410,7 @@ impl ElasticChain {
     pub(crate) fn change_of_place(&self, place: TermPlace) -> Vector3<f64> {
         match place {
             TermPlace::Frame { joint, component } => {
-                self.moved_at(self.parts[joint].frame, &self.terms[joint].frame[component])
+                self.moved_at(self.links[joint].frame, &self.places[joint].correction[component])
             }
             TermPlace::Actuator(joint) => {
                 let mu = |joint: usize| self.adjoint.mu[self.driven(joint)];
@@ -423,7 +422,7 @@ impl ElasticChain {
                     _ => mu(actuator),
                 };
                 match &self.actuators {
-                    ActuatorMap::Axes { axes, .. } => (0..self.parts.len())
+                    ActuatorMap::Axes { axes, .. } => (0..self.links.len())
                         .map(|actuator| axes.rate(actuator, joint) * by_actuator(actuator))
                         .sum(),
                     _ => by_actuator(joint),
@@ -433,15 +432,7 @@ impl ElasticChain {
     }
 
     fn link_column(&self, link: usize, term: LinkTerm) -> Vector3<f64> {
-        let terms = &self.terms[link];
-        let (about, axis, origin) = match term {
-            LinkTerm::A => (false, terms.x, terms.previous_origin),
-            LinkTerm::Alpha => (true, terms.x, terms.previous_origin),
-            LinkTerm::Beta => (true, terms.y, terms.origin),
-            LinkTerm::D => (false, terms.z, terms.origin),
-            LinkTerm::Theta => (true, terms.z, terms.origin),
-        };
-        let moved = self.moved_at(self.parts[link].terms, &Screw { about, axis, origin });
+        let moved = self.moved_at(self.links[link].terms, &self.kinematics.screw(link, term));
         match &self.four_bar {
             // The elbow's zero is the crank's.
             Some(four_bar) if four_bar.elbow == link && term == LinkTerm::Theta => {
@@ -483,13 +474,13 @@ impl ElasticChain {
         if !a.coupled {
             return Vector3::zeros();
         }
-        let of_slot = |slot: usize| a.mu[slot] * (self.load[slot] * self.reference[slot]);
+        let of_slot = |slot: usize| a.mu[slot] * (self.forces[slot] * self.reference[slot]);
         match compliance {
             Compliance::Drive { joint } => of_slot(self.driven(joint)),
             Compliance::Bearing { joint, axis } => {
-                self.parts[joint].bearing.slot(axis).map_or_else(Vector3::zeros, of_slot)
+                self.links[joint].bearing.slot(axis).map_or_else(Vector3::zeros, of_slot)
             }
-            Compliance::Beam { link } => self.parts[link].beam_slots().map(of_slot).sum(),
+            Compliance::Beam { link } => self.links[link].beam_slots().map(of_slot).sum(),
             Compliance::Rod => self.four_bar.as_ref().map_or_else(Vector3::zeros, |four_bar| {
                 a.rho * (self.closed.force * four_bar.reference_compliance)
             }),
@@ -501,13 +492,13 @@ impl ElasticChain {
         if !a.coupled {
             return Vector3::zeros();
         }
-        let by_lump = |lump: usize| {
-            let lump = &self.lumps[lump];
-            let (mass, moment) = lump.reference;
-            let inboard = &a.inboard[lump.inboard];
+        let by_load = |load: usize| {
+            let load = &self.loads[load];
+            let (mass, moment) = load.reference;
+            let inboard = &a.inboard[load.inboard];
             inboard.turns * moment.cross(&self.gravity) + inboard.shifts * (mass * self.gravity)
         };
-        self.parts[link].body_lumps().map(by_lump).sum()
+        self.links[link].body_loads().map(by_load).sum()
     }
 
     fn centre_column(&self, link: usize, axis: usize) -> Vector3<f64> {
@@ -515,9 +506,9 @@ impl ElasticChain {
         if !a.coupled {
             return Vector3::zeros();
         }
-        let part = &self.parts[link];
-        let inboard = &a.inboard[self.lumps[part.first_lump].inboard];
-        inboard.turns * (part.body.0 * self.terms[link].body[axis]).cross(&self.gravity)
+        let own = &self.links[link];
+        let inboard = &a.inboard[self.loads[own.first_load].inboard];
+        inboard.turns * (own.body.0 * self.places[link].body[axis]).cross(&self.gravity)
     }
 
     fn linkage_column(&self, term: LinkageTerm) -> Vector3<f64> {
@@ -531,7 +522,7 @@ impl ElasticChain {
             LinkageTerm::AxisRy => return self.crank_axis_column(&closed.axis[3]),
             LinkageTerm::Rod => return a.rho,
             LinkageTerm::Lever => {
-                let force = self.lumps[four_bar.lever_lump].direction;
+                let force = self.loads[four_bar.lever_load].direction;
                 (&a.inboard[four_bar.reach], force, closed.lever_growth, 1.0)
             }
             LinkageTerm::Crank => {

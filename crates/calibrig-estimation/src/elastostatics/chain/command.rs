@@ -6,8 +6,8 @@
 use nalgebra::Vector3;
 
 use super::ElasticChain;
-use super::parts::Segment;
-use super::screw::{Screw, Walk};
+use super::structure::Segment;
+use crate::kinematics::{MovingFrame, Screw};
 use calibrig_model::{BeamRun, BeamSegment, ModelError, SegmentLength, TermPlace};
 
 impl ElasticChain {
@@ -25,69 +25,74 @@ impl ElasticChain {
     /// [`column_of_command`](Self::column_of_command) of an actuator of the robot.
     pub(crate) fn change_by_command(&self, actuator: usize) -> Vector3<f64> {
         let mut column = self.change_of_place(TermPlace::Actuator(actuator));
-        for (link, part) in self.parts.iter().enumerate() {
-            let rate = self.actuators.rate(link, actuator);
+        for (index, link) in self.links.iter().enumerate() {
+            let rate = self.actuators.rate(index, actuator);
             let extends = |segment: &Segment| matches!(segment.now.length, SegmentLength::Extension(_));
-            if rate != 0.0 && part.segments.iter().any(extends) {
-                column += rate * self.change_by_length(link);
+            if rate != 0.0 && link.segments.iter().any(extends) {
+                column += rate * self.change_by_length(index);
             }
         }
         column
     }
 
     /// Change per unit of the joint variable that a link's beam takes its length from.
-    fn change_by_length(&self, link: usize) -> Vector3<f64> {
+    fn change_by_length(&self, index: usize) -> Vector3<f64> {
         let a = &self.adjoint;
-        let part = &self.parts[link];
+        let link = &self.links[index];
         let growth = |segment: &Segment| {
             f64::from(u8::from(matches!(segment.now.length, SegmentLength::Extension(_))))
         };
-        let all: f64 = part.segments.iter().map(growth).sum();
-        let shifts = |from_root: f64| match part.run {
+        let all: f64 = link.segments.iter().map(growth).sum();
+        let shifts = |from_root: f64| match link.run {
             BeamRun::AlongX => Vector3::new(from_root, 0.0, 0.0),
             BeamRun::EndsAtOrigin => Vector3::new(0.0, 0.0, from_root - all),
         };
-        let weighs = |lump: usize, mass: f64, moment: Vector3<f64>| {
-            let inboard = &a.inboard[self.lumps[lump].inboard];
+        let weighs = |load: usize, mass: f64, moment: Vector3<f64>| {
+            let inboard = &a.inboard[self.loads[load].inboard];
             inboard.turns * moment.cross(&self.gravity) + inboard.shifts * (mass * self.gravity)
         };
-        let frames = self.frames_of_beam(link);
+        let frames = self.frames_of_beam(index);
         let mut column = Vector3::zeros();
         // What the body loses to its beam.
         let (mut rest, mut rest_moment) = (0.0, Vector3::zeros());
         let mut root = 0.0;
-        for (index, (segment, [before, behind])) in part.segments.iter().zip(&frames).enumerate() {
+        for (index, (segment, [before, behind])) in link.segments.iter().zip(&frames).enumerate() {
             let grows = growth(segment);
             for (number, (lump, frame)) in segment.springs.lumps.iter().zip([before, behind]).enumerate() {
                 let mass = 0.5 * segment.now.section.mass_per_length * grows;
                 let shift = lump.mass * shifts(root + grows * [1.0 / 6.0, 5.0 / 6.0][number]);
-                let point = part.on_beam(lump.from_root);
+                let point = link.on_beam(lump.from_root);
                 rest -= mass;
                 rest_moment -= mass * point + shift;
                 let moment = mass * frame.point(&point) + frame.turned(&shift);
-                column += weighs(part.first_lump + 1 + 2 * index + number, mass, moment);
+                column += weighs(link.first_load + 1 + 2 * index + number, mass, moment);
             }
             column += self.change_by_shift(segment, &shifts(root + 0.5 * grows), [before, behind]);
             for (slot, component) in segment.group.slots().zip(&segment.group.components) {
-                let softer = grows * softening(&segment.now, segment.springs.length(), *component, part.run);
-                column += a.mu[slot] * (self.load[slot] * softer);
+                let softer = grows * softening(&segment.now, segment.springs.length(), *component, link.run);
+                column += a.mu[slot] * (self.forces[slot] * softer);
             }
             root += grows;
         }
         if let Some([first, _]) = frames.first() {
             let moment = rest * first.origin + first.turned(&rest_moment);
-            column += weighs(part.first_lump, rest, moment);
+            column += weighs(link.first_load, rest, moment);
         }
         if a.coupled { column } else { Vector3::zeros() }
     }
 
     /// What a shift of a segment's springs in the link's frame does: all that is behind them turns about another place.
-    fn change_by_shift(&self, segment: &Segment, shift: &Vector3<f64>, frames: [&Walk; 2]) -> Vector3<f64> {
+    fn change_by_shift(
+        &self,
+        segment: &Segment,
+        shift: &Vector3<f64>,
+        frames: [&MovingFrame; 2],
+    ) -> Vector3<f64> {
         let (a, slots) = (&self.adjoint, segment.group.slots());
         if slots.is_empty() {
             return Vector3::zeros();
         }
-        let moved = |frame: &Walk, inboard: usize, slot: usize| {
+        let moved = |frame: &MovingFrame, inboard: usize, slot: usize| {
             let screw = Screw { about: false, axis: frame.turned(shift), origin: frame.origin };
             a.seen.moved_by(&screw) + a.inboard[inboard].turns * a.outboard[slot].turned_by(&screw)
         };
@@ -96,18 +101,18 @@ impl ElasticChain {
     }
 
     /// The link's frame in front of every segment's springs, and behind them.
-    fn frames_of_beam(&self, link: usize) -> Vec<[Walk; 2]> {
-        let part = &self.parts[link];
-        let mut walk = Walk::from(&self.frames[link]);
-        let mut frames: Vec<[Walk; 2]> = Vec::with_capacity(part.segments.len());
-        for segment in part.segments.iter().rev() {
-            let (behind, at) = (walk, part.on_beam(segment.springs.centre));
-            walk.origin = walk.point(&at);
+    fn frames_of_beam(&self, index: usize) -> Vec<[MovingFrame; 2]> {
+        let link = &self.links[index];
+        let mut frame = MovingFrame::from(&self.frames[index]);
+        let mut frames: Vec<[MovingFrame; 2]> = Vec::with_capacity(link.segments.len());
+        for segment in link.segments.iter().rev() {
+            let (behind, at) = (frame, link.on_beam(segment.springs.centre));
+            frame.origin = frame.point(&at);
             for (slot, component) in segment.group.slots().zip(&segment.group.components).rev() {
-                walk.step(*component, -self.u[slot]);
+                frame.step(*component, -self.u[slot]);
             }
-            walk.origin -= walk.turned(&at);
-            frames.push([walk, behind]);
+            frame.origin -= frame.turned(&at);
+            frames.push([frame, behind]);
         }
         frames.reverse();
         frames

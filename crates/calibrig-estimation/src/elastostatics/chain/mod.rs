@@ -17,10 +17,10 @@
 mod adjoint;
 mod balance;
 mod command;
+mod loads;
 mod newton;
-mod parts;
 mod place;
-mod screw;
+mod structure;
 #[cfg(test)]
 mod tests;
 
@@ -28,13 +28,13 @@ use nalgebra::Vector3;
 use thiserror::Error;
 
 use self::adjoint::Adjoint;
-use self::parts::{FixedPart, Loop, Part, Slot, Structure, body_of};
-use self::place::{LoopPlace, TermsPlace, finite};
-use self::screw::{Lump, Screw};
-use crate::kinematics::ClosureError;
+use self::loads::Load;
+use self::place::{LinkPlace, LoopPlace};
+use self::structure::{ElasticLink, ElbowLoop, Slot, Structure, body_of};
+use crate::kinematics::{ClosureError, KinematicChain, Screw, finite};
 use calibrig_model::geometry::Transform;
 use calibrig_model::{
-    ActuatorMap, CalibrationModel, ModelError, Payload, PayloadError, PointLoad, TermPlace,
+    ActuatorMap, CalibrationModel, ModelError, Payload, PayloadError, PointLoad, StaticProperties, TermPlace,
 };
 
 /// How much of the statics a pose is settled with.
@@ -81,7 +81,7 @@ pub enum ElasticError {
     #[error(transparent)]
     Payload(#[from] PayloadError),
     /// Deflections of another chain.
-    #[error("deflections has {found} entries: expected {expected}, one a spring of the chain")]
+    #[error("deflections has {found} entries: expected {expected}, one per spring of the chain")]
     Deflections {
         /// Their number.
         found: usize,
@@ -130,18 +130,18 @@ impl Carried {
 /// soft that successive substitution does not settle it.
 #[derive(Debug, Clone)]
 pub struct ElasticChain {
-    parts: Vec<Part>,
+    /// The same without springs and loads: constants of the links, and at the pose their axes and the flange.
+    kinematics: KinematicChain,
+    links: Vec<ElasticLink>,
     slots: Vec<Slot>,
     /// Those of the robot, and at the end that of the payload.
-    lumps: Vec<Lump>,
-    four_bar: Option<Loop>,
+    loads: Vec<Load>,
+    four_bar: Option<ElbowLoop>,
     /// Whether the reference model says what its parts weigh and how they yield.
     has_statics: bool,
     actuators: ActuatorMap,
     gravity: Vector3<f64>,
     payload: Carried,
-    base_from_first: Transform,
-    last_from_flange: Transform,
     /// Of every slot: m/N or rad/(N m), and those of the reference model.
     compliance: Vec<f64>,
     reference: Vec<f64>,
@@ -154,12 +154,11 @@ pub struct ElasticChain {
     /// Deflection of every slot.
     u: Vec<f64>,
     screws: Vec<Screw>,
-    terms: Vec<TermsPlace>,
+    places: Vec<LinkPlace>,
     frames: Vec<Transform>,
-    base_from_flange: Transform,
     closed: LoopPlace,
     /// Generalised force on every slot.
-    load: Vec<f64>,
+    forces: Vec<f64>,
     deflection: Deflection,
     deflections: Vec<f64>,
     adjoint: Adjoint,
@@ -179,13 +178,13 @@ impl ElasticChain {
 
     /// The chain of a model that has been checked.
     pub(crate) fn of(reference: &CalibrationModel) -> Self {
-        let Structure { parts, slots, lumps, four_bar } = Structure::new(reference);
-        let (n, joints) = (slots.len(), parts.len());
+        let Structure { links, slots, loads, four_bar } = Structure::new(reference);
+        let (n, joints) = (slots.len(), links.len());
         let elastic = slots.iter().filter(|s| **s == Slot::Elastic).count();
         let with_four_bar = if four_bar.is_some() { 2 } else { 0 };
         let mut chain = Self {
             adjoint: Adjoint::new(n),
-            terms: vec![TermsPlace::default(); joints],
+            places: vec![LinkPlace::default(); joints],
             frames: vec![Transform::identity(); joints],
             command: vec![0.0; joints],
             positions: vec![0.0; joints],
@@ -193,21 +192,19 @@ impl ElasticChain {
             compliance: vec![0.0; n],
             reference: vec![0.0; n],
             u: vec![0.0; n],
-            load: vec![0.0; n],
+            forces: vec![0.0; n],
             screws: vec![Screw::NONE; n],
             deflections: vec![0.0; elastic + with_four_bar],
             closed: LoopPlace::default(),
-            base_from_flange: Transform::identity(),
-            base_from_first: Transform::identity(),
-            last_from_flange: Transform::identity(),
             gravity: Vector3::zeros(),
             payload: Carried::default(),
             has_statics: reference.statics.is_some(),
             actuators: reference.actuators.clone(),
             deflection: Deflection::None,
-            parts,
+            kinematics: KinematicChain::new(&reference.kinematics),
+            links,
             slots,
-            lumps,
+            loads,
             four_bar,
         };
         chain.take(reference);
@@ -233,70 +230,70 @@ impl ElasticChain {
             if same { Ok(()) } else { Err(ModelError::Structure { field }) }
         };
         let links = &model.kinematics.links;
-        same(links.len() == self.parts.len(), "the number of links")?;
-        same(
-            links.iter().zip(&self.parts).all(|(link, part)| link.kind == part.kind),
-            "the kinds of joints",
-        )?;
+        same(links.len() == self.links.len(), "the number of links")?;
+        same(self.kinematics.has_kinds(links.iter().map(|link| link.kind)), "the kinds of joints")?;
         let ends = |map: &ActuatorMap| map.four_bar().map(|(shoulder, elbow, _, _)| (shoulder, elbow));
         same(ends(&model.actuators) == ends(&self.actuators), "the four-bar of actuators")?;
         let statics = model.statics.as_ref();
         same(statics.is_some() == self.has_statics, "statics")?;
-        (0..).zip(&self.parts).try_for_each(|(index, part)| {
+        (0..).zip(&self.links).try_for_each(|(index, link)| {
             let segments =
                 statics.and_then(|s| s.beams[index].as_ref()).map_or(0, |beam| beam.segments.len());
-            same(segments == part.segments.len(), "the segments of statics.beams")?;
+            same(segments == link.segments.len(), "the segments of statics.beams")?;
             let loads = statics.map_or(0, |s| s.loads.iter().filter(|load| load.link == index).count());
-            same(loads == part.loads.len(), "the places of statics.loads")
+            same(loads == link.point_loads.len(), "the places of statics.loads")
         })
     }
 
     /// [`set_model`](Self::set_model) without looking.
     pub(crate) fn take(&mut self, model: &CalibrationModel) {
         let statics = model.statics.as_ref();
-        self.base_from_first = model.kinematics.base_from_first;
-        self.last_from_flange = model.kinematics.last_from_flange;
+        self.kinematics.set_model(&model.kinematics);
         self.gravity = statics.map_or_else(Vector3::zeros, |s| s.gravity);
         self.actuators.clone_from(&model.actuators);
-        for (index, (part, link)) in self.parts.iter_mut().zip(&model.kinematics.links).enumerate() {
-            part.fixed = FixedPart::new(link);
-            let Some(statics) = statics else { continue };
-            part.body = body_of(Some(statics), index);
-            // A change of the mass acts where the centre is now.
-            part.reference_body.1 = part.reference_body.0 * statics.bodies[index].centre_of_mass;
-            part.bearing_at = statics.bearings[index].at;
-            self.compliance[part.drive] = 1.0 / statics.drive_stiffness[index];
-            for (slot, component) in part.bearing.slots().zip(&part.bearing.components) {
-                self.compliance[slot] = 1.0 / statics.bearings[index].stiffness[*component];
-            }
-            if let Some(beam) = &statics.beams[index] {
-                for (segment, now) in part.segments.iter_mut().zip(&beam.segments) {
-                    segment.now = *now;
-                }
-            }
+        if let Some(statics) = statics {
+            self.take_statics(statics);
         }
         if let (Some(four_bar), Some((_, elbow, offset, lengths))) =
             (&mut self.four_bar, model.actuators.four_bar())
         {
             four_bar.set(lengths, offset + model.kinematics.links[elbow].theta, statics);
             // The drive turns the crank; the elbow is free.
-            let free = self.parts[elbow].drive;
+            let free = self.links[elbow].drive;
             self.compliance[four_bar.crank] = self.compliance[free];
             self.compliance[free] = 0.0;
         }
         self.set_loads(statics.map_or(&[], |s| &s.loads));
     }
 
-    fn set_loads(&mut self, loads: &[PointLoad]) {
-        for (index, part) in self.parts.iter_mut().enumerate() {
-            for lump in part.body_lumps() {
-                self.lumps[lump].direction = self.gravity;
+    fn take_statics(&mut self, statics: &StaticProperties) {
+        for (index, link) in self.links.iter_mut().enumerate() {
+            link.body = body_of(Some(statics), index);
+            // A change of the mass acts where the centre is now.
+            link.reference_body.1 = link.reference_body.0 * statics.bodies[index].centre_of_mass;
+            link.bearing_at = statics.bearings[index].at;
+            self.compliance[link.drive] = 1.0 / statics.drive_stiffness[index];
+            for (slot, component) in link.bearing.slots().zip(&link.bearing.components) {
+                self.compliance[slot] = 1.0 / statics.bearings[index].stiffness[*component];
             }
-            let of_link = loads.iter().filter(|l| l.link == index);
-            for ((lump, at), load) in part.loads.iter_mut().zip(of_link) {
-                *at = load.at;
-                self.lumps[*lump].scale = 1.0;
-                self.lumps[*lump].direction = load.mass * self.gravity + load.force;
+            if let Some(beam) = &statics.beams[index] {
+                for (segment, now) in link.segments.iter_mut().zip(&beam.segments) {
+                    segment.now = *now;
+                }
+            }
+        }
+    }
+
+    fn set_loads(&mut self, point_loads: &[PointLoad]) {
+        for (index, link) in self.links.iter_mut().enumerate() {
+            for load in link.body_loads() {
+                self.loads[load].direction = self.gravity;
+            }
+            let of_link = point_loads.iter().filter(|l| l.link == index);
+            for ((load, at), now) in link.point_loads.iter_mut().zip(of_link) {
+                *at = now.at;
+                self.loads[*load].scale = 1.0;
+                self.loads[*load].direction = now.mass * self.gravity + now.force;
             }
         }
     }
@@ -448,7 +445,7 @@ impl ElasticChain {
         let elastic = (0..self.slots.len()).filter(|k| self.slots[*k] == Slot::Elastic);
         for (told, slot) in self.deflections.iter_mut().zip(elastic) {
             *told = self.u[slot];
-            if self.four_bar.as_ref().is_some_and(|f| self.parts[f.elbow].drive == slot) {
+            if self.four_bar.as_ref().is_some_and(|f| self.links[f.elbow].drive == slot) {
                 *told = self.closed.angle - rigid_elbow;
             }
         }
@@ -463,18 +460,18 @@ impl ElasticChain {
     fn driven(&self, joint: usize) -> usize {
         match &self.four_bar {
             Some(four_bar) if four_bar.elbow == joint => four_bar.crank,
-            _ => self.parts[joint].drive,
+            _ => self.links[joint].drive,
         }
     }
 
     /// Deflection of a joint's drive, m or rad; with a four-bar, the elbow's drive is the crank's. `None` for a joint that is not there.
     pub fn drive_deflection(&self, joint: usize) -> Option<f64> {
-        (joint < self.parts.len()).then(|| self.u[self.driven(joint)])
+        (joint < self.links.len()).then(|| self.u[self.driven(joint)])
     }
 
     /// `base_from_flange`.
     pub fn base_from_flange(&self) -> &Transform {
-        &self.base_from_flange
+        self.kinematics.base_from_flange()
     }
 
     /// `base_from_link` of every link, behind all that yields in it.
@@ -489,6 +486,6 @@ impl ElasticChain {
 
     /// Position in the base frame of a target at `in_flange`, m.
     pub fn target(&self, in_flange: &Vector3<f64>) -> Vector3<f64> {
-        self.base_from_flange.rotation * in_flange + self.base_from_flange.translation.vector
+        self.kinematics.target(in_flange)
     }
 }

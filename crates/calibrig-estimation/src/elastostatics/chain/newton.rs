@@ -6,7 +6,7 @@
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 
-use super::parts::Slot;
+use super::structure::Slot;
 use super::{CONVERGED, ElasticChain, ElasticError, Settled};
 
 /// Steps before giving up: Newton's method on a convex energy needs some ten.
@@ -100,7 +100,7 @@ impl ElasticChain {
     /// Derivatives of the energy by every spring's deflection over the root of its compliance: `(u - c Q) / sqrt(c)`.
     fn slopes(&self, springs: &[Spring], roots: &DVector<f64>) -> DVector<f64> {
         let slope = |(spring, root): (&Spring, &f64)| match spring {
-            Spring::Slot(k) => self.u[*k] / root - root * self.load[*k],
+            Spring::Slot(k) => self.u[*k] / root - root * self.forces[*k],
             Spring::Rod => self.closed.extension / root - root * self.closed.force,
         };
         DVector::from_iterator(springs.len(), springs.iter().zip(roots.iter()).map(slope))

@@ -2,36 +2,25 @@
 
 use nalgebra::Vector3;
 
-use super::parts::{Group, Part, Segment};
-use super::screw::{Loads, Lump, Screw, Walk, stepped};
+use super::loads::{Load, Loads};
+use super::structure::{ElasticLink, Segment, SpringGroup};
 use super::{ElasticChain, ElasticError};
 use crate::elastostatics::beam::segment_group;
-use crate::kinematics::swing_to;
+use crate::kinematics::{MovingFrame, Screw, finite, stepped, swing_to};
 use calibrig_model::{BeamRun, BeamSegment, BearingSide, Compliance, ModelError, ParameterId, TermPlace};
 
-/// The axes of a link's parameters and of the corrections of its frame, in the base frame.
+/// The axes of the corrections of a link's frame, and of its body, in the base frame.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct TermsPlace {
-    /// a along, alpha about.
-    pub x: Vector3<f64>,
-    pub previous_origin: Vector3<f64>,
-    /// beta about.
-    pub y: Vector3<f64>,
-    /// d along, theta about.
-    pub z: Vector3<f64>,
-    /// Origin behind a: on the axes of beta and theta.
-    pub origin: Vector3<f64>,
+pub(super) struct LinkPlace {
     /// Components of the frame's correction.
-    pub frame: [Screw; 6],
+    pub correction: [Screw; 6],
     /// The axes that the body's centre of mass is told in.
     pub body: [Vector3<f64>; 3],
 }
 
-impl Default for TermsPlace {
+impl Default for LinkPlace {
     fn default() -> Self {
-        let zero = Vector3::zeros();
-        let (frame, body) = ([Screw::NONE; 6], [zero; 3]);
-        Self { x: zero, previous_origin: zero, y: zero, z: zero, origin: zero, frame, body }
+        Self { correction: [Screw::NONE; 6], body: [Vector3::zeros(); 3] }
     }
 }
 
@@ -81,19 +70,25 @@ impl Default for LoopPlace {
 }
 
 /// Lets the frame go through a group at `point` of the frame.
-fn through(walk: &mut Walk, group: &Group, point: &Vector3<f64>, u: &[f64], screws: &mut [Screw]) {
+fn through(
+    frame: &mut MovingFrame,
+    group: &SpringGroup,
+    point: &Vector3<f64>,
+    u: &[f64],
+    screws: &mut [Screw],
+) {
     if group.components.is_empty() {
         return;
     }
-    walk.origin = walk.point(point);
+    frame.origin = frame.point(point);
     for (slot, component) in group.slots().zip(&group.components) {
-        screws[slot] = walk.step(*component, u[slot]);
+        screws[slot] = frame.step(*component, u[slot]);
     }
-    walk.origin -= walk.turned(point);
+    frame.origin -= frame.turned(point);
 }
 
 /// A point behind a group as seen from in front of it.
-fn in_front(point: &mut Vector3<f64>, group: &Group, at: &Vector3<f64>, u: &[f64]) {
+fn in_front(point: &mut Vector3<f64>, group: &SpringGroup, at: &Vector3<f64>, u: &[f64]) {
     *point -= at;
     for (slot, component) in group.slots().zip(&group.components).rev() {
         stepped(*component, u[slot], point);
@@ -102,15 +97,15 @@ fn in_front(point: &mut Vector3<f64>, group: &Group, at: &Vector3<f64>, u: &[f64
 }
 
 impl Segment {
-    /// Puts one of the segment's lumps at a point.
-    fn weigh(&self, index: usize, point: &Vector3<f64>, lump: &mut Lump) {
+    /// Takes one of the segment's lumped masses, at a point, as a load.
+    fn weigh(&self, index: usize, point: &Vector3<f64>, load: &mut Load) {
         let [now, reference] = [&self.springs, &self.reference_springs].map(|s| s.lumps[index].mass);
-        (lump.scale, lump.arm) = (now, now * point);
-        lump.reference = (reference, reference * point);
+        (load.scale, load.arm) = (now, now * point);
+        load.reference = (reference, reference * point);
     }
 }
 
-impl Part {
+impl ElasticLink {
     /// The point at `from_root` along the undeflected beam, in the link's frame, m.
     pub(super) fn on_beam(&self, from_root: f64) -> Vector3<f64> {
         match self.run {
@@ -169,61 +164,47 @@ impl Part {
         point
     }
 
-    /// Places the fixed part and tells the axes of its parameters.
-    fn place_fixed(&self, walk: &mut Walk, terms: &mut TermsPlace) {
-        let fixed = &self.fixed;
-        terms.x = walk.axes[0];
-        terms.previous_origin = walk.origin;
-        walk.turn(0, fixed.alpha);
-        walk.origin += fixed.a * walk.axes[0];
-        terms.y = walk.axes[1];
-        terms.origin = walk.origin;
-        walk.turn(1, fixed.beta);
-        terms.z = walk.axes[2];
-        walk.turn(2, fixed.theta);
-        walk.origin += fixed.d * walk.axes[2];
-    }
-
     /// Places what is behind the joint's motion: correction, bearing, body, beam.
     fn place_moving(
         &self,
-        walk: &mut Walk,
-        terms: &mut TermsPlace,
+        frame: &mut MovingFrame,
+        place: &mut LinkPlace,
         u: &[f64],
         screws: &mut [Screw],
-        lumps: &mut [Lump],
+        loads: &mut [Load],
     ) {
-        for (component, (screw, by)) in terms.frame.iter_mut().zip(self.correction).enumerate() {
-            *screw = if by == 0.0 { walk.screw(component) } else { walk.step(component, by) };
+        for (component, (screw, by)) in place.correction.iter_mut().zip(self.correction).enumerate() {
+            *screw = if by == 0.0 { frame.screw(component) } else { frame.step(component, by) };
         }
         // Rotations are about the place behind all translations.
-        for screw in &mut terms.frame[3..] {
-            screw.origin = walk.origin;
+        for screw in &mut place.correction[3..] {
+            screw.origin = frame.origin;
         }
         if self.side == BearingSide::Moving {
-            through(walk, &self.bearing, &self.bearing_point(), u, screws);
+            through(frame, &self.bearing, &self.bearing_point(), u, screws);
         }
-        terms.body = walk.axes;
-        let in_base = |(mass, moment): (f64, Vector3<f64>)| (mass, mass * walk.origin + walk.turned(&moment));
-        let rigid = &mut lumps[self.first_lump];
+        place.body = frame.axes;
+        let in_base =
+            |(mass, moment): (f64, Vector3<f64>)| (mass, mass * frame.origin + frame.turned(&moment));
+        let rigid = &mut loads[self.first_load];
         (rigid.scale, rigid.arm) = in_base(self.rigid);
         rigid.reference = in_base(self.reference_rigid);
         for (index, segment) in self.segments.iter().enumerate() {
-            let first = self.first_lump + 1 + 2 * index;
+            let first = self.first_load + 1 + 2 * index;
             segment.weigh(
                 0,
-                &walk.point(&self.on_beam(segment.springs.lumps[0].from_root)),
-                &mut lumps[first],
+                &frame.point(&self.on_beam(segment.springs.lumps[0].from_root)),
+                &mut loads[first],
             );
-            through(walk, &segment.group, &self.on_beam(segment.springs.centre), u, screws);
+            through(frame, &segment.group, &self.on_beam(segment.springs.centre), u, screws);
             segment.weigh(
                 1,
-                &walk.point(&self.on_beam(segment.springs.lumps[1].from_root)),
-                &mut lumps[first + 1],
+                &frame.point(&self.on_beam(segment.springs.lumps[1].from_root)),
+                &mut loads[first + 1],
             );
         }
-        for (lump, at) in &self.loads {
-            lumps[*lump].arm = walk.point(at);
+        for (load, at) in &self.point_loads {
+            loads[*load].arm = frame.point(at);
         }
     }
 }
@@ -236,16 +217,16 @@ impl ElasticChain {
         corrections: &[(TermPlace, f64)],
     ) -> Result<(), ElasticError> {
         self.actuators.joints_from_command(command, &mut self.joints);
-        for (index, part) in self.parts.iter_mut().enumerate() {
-            part.correction = [0.0; 6];
-            part.extend(self.joints[index], &mut self.compliance, &mut self.reference)
+        for (index, link) in self.links.iter_mut().enumerate() {
+            link.correction = [0.0; 6];
+            link.extend(self.joints[index], &mut self.compliance, &mut self.reference)
                 .map_err(|length| ElasticError::Housed { link: index, length })?;
         }
         self.command.copy_from_slice(command);
         for (place, value) in corrections {
             match *place {
                 TermPlace::Actuator(joint) => self.command[joint] += value,
-                TermPlace::Frame { joint, component } => self.parts[joint].correction[component] += value,
+                TermPlace::Frame { joint, component } => self.links[joint].correction[component] += value,
             }
         }
         self.actuators.actuators_from_command(&self.command, &mut self.positions);
@@ -255,7 +236,7 @@ impl ElasticChain {
 
     /// Whether command and corrections are of this chain, and finite numbers.
     pub(super) fn check(&self, command: &[f64], corrections: &[(TermPlace, f64)]) -> Result<(), ModelError> {
-        let joints = self.parts.len();
+        let joints = self.links.len();
         if command.len() != joints {
             return Err(ModelError::Length { field: "command", found: command.len(), expected: joints });
         }
@@ -272,7 +253,7 @@ impl ElasticChain {
             TermPlace::Actuator(joint) => (joint, 0),
             TermPlace::Frame { joint, component } => (joint, component),
         };
-        let joints = self.parts.len();
+        let joints = self.links.len();
         if joint >= joints {
             return Err(ModelError::Joint { field: "a correction", joint, joints });
         }
@@ -284,7 +265,7 @@ impl ElasticChain {
 
     /// Whether a parameter is of this chain.
     pub(super) fn knows(&self, id: ParameterId) -> Result<(), ModelError> {
-        let joints = self.parts.len();
+        let joints = self.links.len();
         let known = match id {
             ParameterId::Link { link, .. }
             | ParameterId::Mass { link }
@@ -305,85 +286,77 @@ impl ElasticChain {
 
     /// Places the chain at its deflections and closes the four-bar.
     pub(super) fn place(&mut self) -> Result<(), ElasticError> {
-        let mut walk = Walk::from(&self.base_from_first);
-        for index in 0..self.parts.len() {
-            self.parts[index].place_fixed(&mut walk, &mut self.terms[index]);
-            let part = &self.parts[index];
-            if part.side == BearingSide::Fixed {
-                through(&mut walk, &part.bearing, &part.bearing_point(), &self.u, &mut self.screws);
+        let mut frame = self.kinematics.start();
+        for index in 0..self.links.len() {
+            self.kinematics.pass_fixed_part(index, &mut frame);
+            let link = &self.links[index];
+            if link.side == BearingSide::Fixed {
+                through(&mut frame, &link.bearing, &link.bearing_point(), &self.u, &mut self.screws);
             }
-            let mut variable = self.joints[index] + self.u[part.drive];
+            let mut variable = self.joints[index] + self.u[link.drive];
             if let Some(four_bar) = &self.four_bar {
                 if four_bar.shoulder == index {
-                    self.place_crank(walk);
+                    self.place_crank(frame);
                 } else if four_bar.elbow == index {
-                    variable = self.close(&walk)?;
+                    variable = self.close(&frame)?;
                 }
             }
-            let part = &self.parts[index];
-            self.screws[part.drive] = walk.step(part.joint_component(), variable);
-            let (terms, screws, lumps) = (&mut self.terms[index], &mut self.screws, &mut self.lumps);
-            part.place_moving(&mut walk, terms, &self.u, screws, lumps);
+            let link = &self.links[index];
+            self.screws[link.drive] = frame.step(self.kinematics.joint_component(index), variable);
+            let (place, screws, loads) = (&mut self.places[index], &mut self.screws, &mut self.loads);
+            link.place_moving(&mut frame, place, &self.u, screws, loads);
             if let Some(four_bar) = &self.four_bar
                 && four_bar.elbow == index
             {
-                self.closed.lever_growth = walk.turned(&growth(four_bar.four_bar.lever.angle));
-                self.lumps[four_bar.lever_lump].arm = self.closed.lever_end;
+                self.closed.lever_growth = frame.turned(&growth(four_bar.four_bar.lever.angle));
+                self.loads[four_bar.lever_load].arm = self.closed.lever_end;
             }
-            self.frames[index] = walk.transform();
+            self.frames[index] = frame.transform();
         }
-        self.base_from_flange = walk.transform() * self.last_from_flange;
-        if let Some(lump) = self.lumps.last_mut() {
-            lump.scale = 1.0;
-            lump.direction = self.payload.mass * self.gravity + self.payload.force;
-            lump.arm = self.base_from_flange.rotation * self.payload.centre
-                + self.base_from_flange.translation.vector;
+        self.kinematics.end(&frame);
+        let carried_at = self.kinematics.target(&self.payload.centre);
+        if let Some(load) = self.loads.last_mut() {
+            load.scale = 1.0;
+            load.direction = self.payload.mass * self.gravity + self.payload.force;
+            load.arm = carried_at;
         }
         Ok(())
     }
 
     /// Places the crank, in the frame in front of the shoulder's motion.
-    fn place_crank(&mut self, mut walk: Walk) {
+    fn place_crank(&mut self, mut frame: MovingFrame) {
         let Some(four_bar) = &self.four_bar else { return };
         let psi = self.positions[four_bar.elbow] + four_bar.offset;
         let axis = four_bar.four_bar.axis;
         self.closed.axis = [(0, axis.x), (1, axis.y), (3, axis.rx), (4, axis.ry)]
-            .map(|(component, by)| walk.step(component, by));
-        self.screws[four_bar.crank] = walk.step(5, psi + self.u[four_bar.crank]);
+            .map(|(component, by)| frame.step(component, by));
+        self.screws[four_bar.crank] = frame.step(5, psi + self.u[four_bar.crank]);
         let arm = &four_bar.four_bar.crank;
         let closed = &mut self.closed;
-        closed.crank_end = walk.point(&arm.end());
-        closed.crank_growth = walk.turned(&growth(arm.angle));
+        closed.crank_end = frame.point(&arm.end());
+        closed.crank_growth = frame.turned(&growth(arm.angle));
         let half_rod = 0.5 * four_bar.rod_mass;
         let (mass, moment) = four_bar.crank_body;
-        let arm = mass * walk.origin + walk.turned(&moment) + half_rod * closed.crank_end;
+        let arm = mass * frame.origin + frame.turned(&moment) + half_rod * closed.crank_end;
         closed.crank_weight =
             Loads { force: (mass + half_rod) * self.gravity, moment: arm * self.gravity.transpose() };
     }
 
-    /// The elbow's angle with which the rod fits; `walk` is in front of the elbow's motion.
-    fn close(&mut self, walk: &Walk) -> Result<f64, ElasticError> {
+    /// The elbow's angle with which the rod fits; `frame` is in front of the elbow's motion.
+    fn close(&mut self, frame: &MovingFrame) -> Result<f64, ElasticError> {
         let Some(four_bar) = &self.four_bar else { return Ok(0.0) };
         let lengths = &four_bar.four_bar;
-        let end = self.parts[four_bar.elbow].behind_motion(lengths.lever.end(), &self.u);
+        let end = self.links[four_bar.elbow].behind_motion(lengths.lever.end(), &self.u);
         let closed = &mut self.closed;
         let rod = lengths.rod + closed.extension;
         let ideal = self.joints[four_bar.elbow];
-        let closure = swing_to(&walk.transform(), &end, &closed.crank_end, rod, ideal)?;
+        let closure = swing_to(&frame.transform(), &end, &closed.crank_end, rod, ideal)?;
         closed.angle = closure.angle;
         closed.lever_end = closure.end;
         closed.rod = closure.rod_direction;
         closed.length = rod;
         closed.rate = closure.rate;
         Ok(closure.angle)
-    }
-}
-
-/// Refuses what is no finite number.
-pub(super) fn finite(field: &'static str, joint: Option<usize>, values: &[f64]) -> Result<(), ModelError> {
-    match values.iter().find(|value| !value.is_finite()) {
-        Some(&value) => Err(ModelError::Number { field, joint, value, expected: "a finite number" }),
-        None => Ok(()),
     }
 }
 

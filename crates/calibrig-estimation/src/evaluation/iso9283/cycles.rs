@@ -48,7 +48,8 @@ pub enum Iso9283Error {
     },
     /// The poses do not all have the same number of cycles.
     #[error(
-        "target {target}: pose {fewer} was measured in {fewest} cycles, pose {more} in {most}: expected as many at every pose"
+        "target {target}: pose {fewer} was measured in {fewest} cycles, but pose {more} in {most}: expected the same number \
+         at every pose"
     )]
     Unequal {
         /// Name of the target.
@@ -64,7 +65,7 @@ pub enum Iso9283Error {
     },
     /// Every pose was measured only twice.
     #[error(
-        "target {target}: pose {pose} was measured in two cycles, which lie as far from their barycentre as each other whatever the machine scatters by: \
+        "target {target}: pose {pose} was measured in only two cycles, which always lie equally far from their barycentre: \
          expected three cycles or more (the standard: 30)"
     )]
     TwoCycles {
@@ -74,7 +75,7 @@ pub enum Iso9283Error {
         pose: u32,
     },
     /// A pose has fewer cycles than were asked for.
-    #[error("target {target}: pose {pose} was measured in {found} cycles, {asked} were asked for")]
+    #[error("target {target}: pose {pose} was measured in {found} cycles, but {asked} were asked for")]
     TooFew {
         /// Name of the target.
         target: String,
@@ -87,7 +88,8 @@ pub enum Iso9283Error {
     },
     /// A pose was measured from several stations.
     #[error(
-        "target {target}: pose {pose} was measured from stations {stations}: its scatter would hold that of their places; expected one station a pose"
+        "target {target}: pose {pose} was measured from stations {stations}, so its scatter would include that of their \
+         places: expected one station per pose"
     )]
     Stations {
         /// Name of the target.

@@ -230,7 +230,7 @@ fn what_is_no_test_is_refused_with_its_poses() {
     let told = refused(&set(&[0.1, 0.2, 0.1, 0.2]), 0, Some(3));
     assert!(told.contains("pose 1 was measured in 2 cycles, 3 were asked for"), "{told}");
     let told = refused(&set(&[0.1, 0.2, 0.1, 0.2]), 0, None);
-    assert!(told.starts_with("target SMR: pose 1 was measured in two cycles"), "{told}");
+    assert!(told.starts_with("target SMR: pose 1 was measured in only two cycles"), "{told}");
     assert!(refused(&set(&[0.1]), 3, None).contains("was not measured"));
     let mut moved = set(&[0.1, 0.2, 0.1, 0.2]);
     moved.stations.push(moved.stations[0].clone());

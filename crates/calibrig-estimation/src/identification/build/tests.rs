@@ -227,7 +227,7 @@ fn a_stiffness_stated_a_hundred_times_too_high_is_told_with_what_to_do() {
         assert!(!estimate.is_sound());
         let told = words(&estimate);
         for part in [
-            "far softer drives than the prior allows",
+            "much softer drives than the prior allows",
             "compliance_drive2",
             "compliance_percent = \"unknown\"",
         ] {

@@ -33,9 +33,9 @@ fn family(jacobian: &DMatrix<f64>, errors: &DVector<f64>) -> Family {
     let residuals = errors - jacobian * (&covariance * jacobian.tr_mul(errors));
     let priors = jacobian.rows(DATA, PARAMETERS);
     let hat = priors * covariance * priors.transpose();
-    let own = |row: usize| Group { rows: row..row + 1, kind: Kind::Own(row, 1.0) };
+    let own = |row: usize| RowGroup { rows: row..row + 1, kind: Kind::Own(row, 1.0) };
     let mut groups: Vec<_> = (0..3).map(own).collect();
-    groups.push(Group { rows: 3..6, kind: Kind::Block(0) });
+    groups.push(RowGroup { rows: 3..6, kind: Kind::Block(0) });
     Family {
         residuals: residuals.rows(DATA, PARAMETERS).into_owned(),
         covariance: DMatrix::identity(PARAMETERS, PARAMETERS) - hat,
@@ -89,7 +89,7 @@ fn sound_priors_are_named_as_seldom_as_the_level_says() {
         let errors = DVector::from_column_slice(normal(DATA + PARAMETERS, 1, &mut rng).as_slice());
         let family = family(&jacobian, &errors);
         any += u32::from(!family.outcasts(LEVEL / 4.0).is_empty());
-        let block = Block::of(&family.covariance, &(0..1));
+        let block = GroupBlock::of(&family.covariance, &(0..1));
         first +=
             u32::from(family.residuals[0].powi(2) * block.inverse[(0, 0)] > chi2_quantile(1.0 - LEVEL, 1.0));
     }

@@ -26,7 +26,7 @@ fn problem() -> CalibrationProblem {
         link(JointKind::Revolute, 1.3, 0.0, 0.1),
     ];
     let nominal = CalibrationModel::new(links).expect("a robot");
-    let mut machine = Machine::new(Mode::OnlyCalibration, &nominal);
+    let mut forward = ForwardModel::new(Mode::OnlyCalibration, &nominal);
     let mut parameters = ParameterId::all_of_links(3);
     parameters.extend(ParameterId::all_of_frame(0));
     parameters.extend(ParameterId::all_of_frame(1));
@@ -37,7 +37,7 @@ fn problem() -> CalibrationProblem {
     let stations =
         vec![translation(1.0, 2.0, 3.0) * rotation_x(0.3), translation(-2.0, 0.0, 1.0) * rotation_y(2.0)];
     let targets = vec![Vector3::new(0.1, 0.2, 0.3)];
-    let mut row = |station, seen: Vector3<f64>, command: [f64; 3]| Row {
+    let mut row = |station, seen: Vector3<f64>, command: [f64; 3]| PositionRow {
         hours: 0.0,
         // One tracker at both stations.
         instrument: (first..)
@@ -47,7 +47,7 @@ fn problem() -> CalibrationProblem {
             })
             .collect(),
         pose: 0,
-        told: machine
+        told: forward
             .prepare(&PoseQuery::at(&command).approached(&signs(&command)))
             .expect("an ideal machine"),
         seen,
@@ -85,7 +85,7 @@ fn problem() -> CalibrationProblem {
         own_priors: vec![(3, 0.5)],
         logarithmic: Vec::new(),
         tolerances: vec![(0, 2.0), (1, 3.0), (2, 4.0)],
-        current: Current::new(&nominal, machine, &stations, &targets, &[Rotation3::identity()]),
+        current: Current::new(&nominal, forward, &stations, &targets, &[Rotation3::identity()]),
         turns: Vec::new(),
         turn_of: vec![None; rows.len()],
         orientations: vec![Rotation3::identity()],
@@ -186,8 +186,8 @@ fn coupled() -> CalibrationProblem {
     parameters.extend(terms.iter().copied().map(ParameterId::Term));
     parameters.extend(ParameterId::all_of_frame(0));
     parameters.extend(ParameterId::all_of_target(0));
-    let mut machine = Machine::new(Mode::Extended, &nominal);
-    machine.set_terms(terms.into_iter());
+    let mut forward = ForwardModel::new(Mode::Extended, &nominal);
+    forward.set_terms(terms.into_iter());
     let rows = structural_poses(&nominal.kinematics, 3)
         .into_iter()
         .map(|joints| {
@@ -197,11 +197,11 @@ fn coupled() -> CalibrationProblem {
                 joints.iter().zip(middle).map(|(q, middle)| middle + 0.5 * (q - middle)).collect();
             let command = nominal.actuators.command_from_joints(&near);
             let ways: Vec<f64> = (1..).map(|i| 0.004 * f64::from(i)).take(command.len()).collect();
-            Row {
+            PositionRow {
                 hours: 0.0,
                 instrument: Vec::new(),
                 pose: 0,
-                told: machine
+                told: forward
                     .prepare(&PoseQuery::at(&command).approached(&signs(&command)).moved(&ways))
                     .expect("a machine that stands"),
                 seen: Vector3::zeros(),
@@ -221,7 +221,7 @@ fn coupled() -> CalibrationProblem {
         own_priors: vec![(40, 10.0)],
         logarithmic: Vec::new(),
         tolerances: vec![(1, 2.0)],
-        current: Current::new(&nominal, machine, &stations, &targets, &[Rotation3::identity()]),
+        current: Current::new(&nominal, forward, &stations, &targets, &[Rotation3::identity()]),
         turns: Vec::new(),
         turn_of: vec![None; rows.len()],
         orientations: vec![Rotation3::identity()],

@@ -106,7 +106,7 @@ fn sessions_that_cannot_be() {
     assert!(of(&none, &[], &[]).contains("there is no candidate pose"));
     let all: Vec<u32> = (1..=12).collect();
     assert!(of(&whole, &all, &[]).contains("there is no candidate pose"));
-    assert!(of(&whole, &[3, 13], &[]).contains("pose 13 is said to be measured"));
+    assert!(of(&whole, &[3, 13], &[]).contains("pose 13 is listed as measured"));
     let changed = |change: &dyn Fn(&mut MeasurementSet)| {
         let mut set = whole.clone();
         change(&mut set);
@@ -119,7 +119,7 @@ fn sessions_that_cannot_be() {
     });
     assert!(of(&silent, &[], &[]).contains("pose 3: the planned reading states no covariance"));
     let short = changed(&|set| _ = set.observations[0].command.pop());
-    assert!(of(&short, &[], &[]).contains("pose 1: 3 commands, the robot has 4 joints"));
+    assert!(of(&short, &[], &[]).contains("pose 1: 3 commands, but the robot has 4 joints"));
     let nan = changed(&|set| set.observations[0].command[0] = f64::NAN);
     assert!(of(&nan, &[], &[]).contains("pose 1: a command or reading is not a finite number"));
     let far = changed(&|set| set.observations[0].command[1] = 1.75);
@@ -142,7 +142,7 @@ fn sessions_that_cannot_be() {
     assert!(region(&[0.0, f64::NAN, 0.0, 0.0]).contains("pose 2 of the region: command"));
     assert!(region(&[0.0, 0.0, 2.5, 0.0]).contains("pose 2 of the region: joint 3 is at 2.5"));
     let target = PoseQuery::at(&[0.0; 4]).with_target(2);
-    assert!(of(&whole, &[], &[target]).contains("target index 2: the robot carries 2"));
+    assert!(of(&whole, &[], &[target]).contains("target index 2: the robot has 2 targets"));
     let approach = PoseQuery::at(&[0.0; 4]).approached(&[1]);
     assert!(of(&whole, &[], &[approach]).contains("approach has 1 entries"));
 }

@@ -27,7 +27,7 @@ impl Reader<'_> {
         match keys.into_iter().find_map(|(key, span)| span.map(|span| (key, span))) {
             Some((key, span)) => {
                 let message = format!("{key} does not belong to the {system} system");
-                Err(self.error(span, message, &format!("the keys of the {system} system alone")))
+                Err(self.error(span, message, &format!("only the keys of the {system} system")))
             }
             None => Ok(()),
         }
@@ -42,11 +42,11 @@ impl Reader<'_> {
             (Some(name), None) => Ok((self.sum(name)?, PolarAngle::Elevation)),
             (None, Some(name)) => Ok((self.sum(name)?, PolarAngle::Zenith)),
             (Some(_), Some(zenith)) => {
-                Err(self.error(zenith.span(), "both elevation and zenith", "one of elevation and zenith"))
+                Err(self.error(zenith.span(), "both elevation and zenith are given", "only one of elevation and zenith"))
             }
             (None, None) => {
                 let message = format!("[{}] has neither elevation nor zenith", table.0);
-                Err(self.error(table.1.clone(), message, "one of elevation and zenith"))
+                Err(self.error(table.1.clone(), message, "only one of elevation and zenith"))
             }
         }
     }
@@ -59,7 +59,7 @@ impl Reader<'_> {
         ])
     }
 
-    /// The position's columns and, of a spherical one, from where its second angle counts.
+    /// The position's columns and, for a spherical one, the reference of its second angle.
     pub fn position(
         &self,
         spanned: &Spanned<CoordinateTable>,
@@ -67,7 +67,7 @@ impl Reader<'_> {
         let (t, span) = (spanned.get_ref(), spanned.span());
         let table = ("position", &span);
         if let Some(k) = &t.k {
-            return Err(self.error(k.span(), "k is not of a position", "k in [sigma] or [noise]"));
+            return Err(self.error(k.span(), "k does not apply to a position", "k in [sigma] or [noise]"));
         }
         let unit = |unit: &Option<Spanned<LengthUnit>>| unit.as_ref().map(|unit| *unit.get_ref());
         if *self.needed(table, "system", t.system.as_ref())?.get_ref() == System::Cartesian {
@@ -96,11 +96,11 @@ impl Reader<'_> {
         let (t, span) = (spanned.get_ref(), spanned.span());
         let table = ("sigma", &span);
         if let Some(system) = &t.system {
-            let message = "[sigma] is in the system of [position]";
+            let message = "[sigma] uses the system of [position]";
             return Err(self.error(system.span(), message, "no key system here"));
         }
         if let Some(missed) = &t.missed {
-            return Err(self.error(missed.span(), "missed is not of an uncertainty", "missed in [position]"));
+            return Err(self.error(missed.span(), "missed does not apply to an uncertainty", "missed in [position]"));
         }
         let coverage = self.coverage(t.k.as_ref())?;
         let Some(polar) = polar else {
@@ -111,7 +111,7 @@ impl Reader<'_> {
         self.foreign(t.cartesian_keys(), "spherical")?;
         let (name, own_polar) = self.polar(table, t)?;
         if own_polar != polar {
-            let message = "[sigma] and [position] differ: one says elevation, the other zenith";
+            let message = "[sigma] and [position] differ: one has elevation, the other zenith";
             return Err(self.error(span.clone(), message, "the same angle in both"));
         }
         let columns = [
@@ -140,7 +140,7 @@ impl Reader<'_> {
             [size("transverse_um", &t.transverse_um)?, size("transverse_um_per_m", &t.transverse_um_per_m)?];
         if range == [0.0; 2] || transverse == [0.0; 2] {
             let message =
-                "[noise] needs a size along the line of sight and one across it: a + b R, R the distance";
+                "[noise] needs a size along the line of sight and one across it, each a + b R with the distance R";
             let expected = "range_um or range_um_per_m, and transverse_um or transverse_um_per_m, above zero";
             return Err(self.error(spanned.span(), message, expected));
         }

@@ -95,16 +95,16 @@ impl Reader<'_> {
     fn column(&self, span: Range<usize>, name: &str) -> Result<ColumnRef, InputError> {
         let name = name.trim();
         if name.is_empty() {
-            return Err(self.error(span, "a sign without a column", "a name of the header line"));
+            return Err(self.error(span, "a sign without a column after it", "a name of the header line"));
         }
         match name.strip_prefix('#').map(str::parse) {
-            Some(Ok(0)) => Err(self.error(span, "#0 is no column", "columns from #1")),
+            Some(Ok(0)) => Err(self.error(span, "#0 is not a column", "columns numbered from #1")),
             Some(Ok(number)) => Ok(ColumnRef::Number(number)),
             _ => Ok(ColumnRef::Name(name.to_owned())),
         }
     }
 
-    /// The terms of a text: `a`, `-a`, `a + b - c`. Blanks stand around a sign between columns, since names may have signs in them.
+    /// The terms of a text: `a`, `-a`, `a + b - c`. A sign between columns has blanks around it, because names may contain signs.
     fn terms(&self, span: &Range<usize>, text: &str, terms: &mut Vec<Term>) -> Result<(), InputError> {
         let text = text.trim();
         if text.is_empty() {
@@ -115,7 +115,7 @@ impl Reader<'_> {
             ));
         }
         if text.ends_with(" +") || text.ends_with(" -") {
-            return Err(self.error(span.clone(), "a sign without a column", "a name of the header line"));
+            return Err(self.error(span.clone(), "a sign without a column after it", "a name of the header line"));
         }
         let (mut sign, mut rest) = match text.strip_prefix('-') {
             Some(rest) => (-1.0, rest),
@@ -141,13 +141,13 @@ impl Reader<'_> {
                 let sign = if *number < 0 { -1.0 } else { 1.0 };
                 let number = usize::try_from(number.unsigned_abs()).unwrap_or(usize::MAX);
                 if number == 0 {
-                    return Err(self.error(span, "0 is no column", "columns from 1"));
+                    return Err(self.error(span, "0 is not a column", "columns numbered from 1"));
                 }
                 terms.push(Term { column: ColumnRef::Number(number), sign });
                 Ok(())
             }
             RawEntry::List(list) if list.is_empty() => {
-                Err(self.error(span, "a sum of no columns", "one column or more"))
+                Err(self.error(span, "a sum without columns", "at least one column"))
             }
             RawEntry::List(list) => list.iter().try_for_each(|entry| self.add(entry, terms)),
         }
@@ -175,7 +175,7 @@ impl Reader<'_> {
         }
         Err(self.error(
             entry.span(),
-            format!("{} is no single column", found.written),
+            format!("{} is not a single column", found.written),
             "the name of one column",
         ))
     }
@@ -188,7 +188,7 @@ impl Reader<'_> {
             let entry = self.sum(item)?;
             if seen.contains(&entry) {
                 let message = format!("column {:?} is named twice", entry.written);
-                return Err(self.error(item.span(), message, "a column each"));
+                return Err(self.error(item.span(), message, "a different column for each"));
             }
             seen.push(entry);
         }

@@ -1,4 +1,4 @@
-//! What a column map says of rows and of the form of files: sets, joins and text.
+//! Rows and the form of files in a column map: sets, joins and text.
 
 use super::Reader;
 use super::tables::{By, ColumnsTable, JoinTable, SetsTable, TextTable};
@@ -16,12 +16,12 @@ impl Reader<'_> {
         let mut poses = PoseList::default();
         if let Some(list) = &t.verification_poses {
             for pose in &list.get_ref().0 {
-                let refused = |expected| self.error(list.span(), format!("{pose:?} is no pose"), expected);
+                let refused = |expected| self.error(list.span(), format!("{pose:?} is not a pose"), expected);
                 poses.add(pose).map_err(refused)?;
             }
         }
         if t.column.is_none() && poses.is_empty() {
-            let message = "[sets] says nothing of which rows are held out";
+            let message = "[sets] does not say which rows are held out";
             return Err(self.error(
                 spanned.span(),
                 message,
@@ -29,7 +29,7 @@ impl Reader<'_> {
             ));
         }
         if t.column.is_some() && t.verification.is_empty() && t.identification.is_empty() {
-            let message = "[sets] names a column, and not what stands in it";
+            let message = "[sets] names a column, but not which of its texts mean held out";
             return Err(self.error(
                 spanned.span(),
                 message,
@@ -50,7 +50,7 @@ impl Reader<'_> {
             if let Some(key) = t.joints.as_ref().or(t.points.as_ref()) {
                 return Err(self.error(
                     key.span(),
-                    "rows are joined by their order",
+                    "rows are joined by their order, so no column is needed",
                     "no column, or by = \"name\"",
                 ));
             }
@@ -59,7 +59,7 @@ impl Reader<'_> {
         let table = ("join", &span);
         let key = |name, entry| {
             let entry = self.needed(table, name, entry)?;
-            // A date may stand in one column and the time of the day in another.
+            // A date may be in one column and the time of day in another.
             if t.by == By::Time { self.sum(entry) } else { self.single(entry) }
         };
         let keys = [key("joints", t.joints.as_ref())?, key("points", t.points.as_ref())?];
@@ -91,13 +91,13 @@ impl Reader<'_> {
         }
         if let Some(widths) = &t.widths {
             if delimiter.is_some() {
-                return Err(self.error(widths.span(), "both delimiter and widths", "one of them"));
+                return Err(self.error(widths.span(), "both delimiter and widths are given", "only one of them"));
             }
             if widths.get_ref().is_empty() || widths.get_ref().contains(&0) {
                 return Err(self.error(
                     widths.span(),
-                    "a column of no width",
-                    "the number of characters of each column",
+                    "a column of width zero",
+                    "the number of characters of each column, 1 or more",
                 ));
             }
             delimiter =
@@ -123,8 +123,8 @@ impl Reader<'_> {
         if let Some((entry, _)) = second {
             return Err(self.error(
                 entry.span(),
-                "the time is stated twice",
-                "one of time_s, time_ms, time_us and time_ns",
+                "the time is given twice",
+                "only one of time_s, time_ms, time_us and time_ns",
             ));
         }
         let Some((entry, unit)) = first else { return Ok((None, TimeUnit::S)) };
@@ -141,14 +141,14 @@ impl Reader<'_> {
         let mut stated = keys.into_iter().filter_map(|(entry, unit)| Some((entry.as_ref()?, unit)));
         let (first, second) = (stated.next(), stated.next());
         if let Some((entry, _)) = second {
-            let expected = "one of temperature_c, temperature_k and temperature_f";
-            return Err(self.error(entry.span(), "the temperature is stated twice", expected));
+            let expected = "only one of temperature_c, temperature_k and temperature_f";
+            return Err(self.error(entry.span(), "the temperature is given twice", expected));
         }
         let Some((entry, unit)) = first else { return Ok((None, TemperatureUnit::C)) };
         Ok((Some(self.sum(entry)?), unit))
     }
 
-    /// What is said of the air beside its temperature.
+    /// The air, apart from its temperature.
     pub fn air(&self, t: &ColumnsTable) -> Result<Vec<(AirQuantity, Entry)>, InputError> {
         let pressure = AirQuantity::Pressure;
         let keys = [
@@ -165,8 +165,8 @@ impl Reader<'_> {
             let is_pressure = |quantity: &AirQuantity| matches!(quantity, AirQuantity::Pressure(_));
             if is_pressure(&quantity) && air.iter().any(|(known, _)| is_pressure(known)) {
                 let expected =
-                    "one of pressure_hpa, pressure_pa, pressure_kpa, pressure_mmhg and pressure_inhg";
-                return Err(self.error(entry.span(), "the pressure is stated twice", expected));
+                    "only one of pressure_hpa, pressure_pa, pressure_kpa, pressure_mmhg and pressure_inhg";
+                return Err(self.error(entry.span(), "the pressure is given twice", expected));
             }
             air.push((quantity, self.sum(entry)?));
         }

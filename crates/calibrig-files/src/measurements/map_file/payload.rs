@@ -1,4 +1,4 @@
-//! What a column map says of loads on the flange.
+//! Loads on the flange in a column map.
 
 use super::Reader;
 use super::entries::RawEntry;
@@ -22,11 +22,11 @@ impl Reader<'_> {
         match (&t.payload, number, tables.first()) {
             (None, None, None) => Ok(None),
             (_, Some(number), Some(_)) => {
-                let message = "payloads are stated twice: by columns of numbers, and by [[payload]]";
+                let message = "payloads are given twice: by columns of numbers, and by [[payload]]";
                 Err(self.error(
                     number.span(),
                     message,
-                    "payload with [[payload]], or payload_mass_kg and its centre",
+                    "either payload with [[payload]], or payload_mass_kg and its centre",
                 ))
             }
             (None, None, Some(table)) => {
@@ -34,14 +34,15 @@ impl Reader<'_> {
                 Err(self.error(
                     table.span(),
                     message,
-                    "payload in [columns]: the column with the payloads' names; one that all rows carry stands in a session file (--session)",
+                    "payload in [columns]: the column with the payloads' names; a payload that all rows carry belongs in a \
+                     session file (--session)",
                 ))
             }
             (Some(column), None, Some(_)) => {
                 Ok(Some(PayloadColumns::Named { column: self.single(column)?, known }))
             }
             (Some(column), None, None) => {
-                let message = "payload names a column, and nothing says what the names in it stand for";
+                let message = "payload names a column, but the names in it are not described";
                 Err(self.error(column.span(), message, "[[payload]] with name, mass_kg, x_mm, y_mm and z_mm"))
             }
             (name, Some(number), None) => {

@@ -1,4 +1,4 @@
-//! Full poses and faces in a column map. Nothing of their conventions can be seen in numbers, so each is stated.
+//! Full poses and faces in a column map. Numbers do not show their conventions, so each is stated.
 
 use super::Reader;
 use super::entries::{Codes, RawEntry};
@@ -30,13 +30,13 @@ impl Reader<'_> {
         let noise = file.noise.as_ref().map(|noise| self.noise(noise)).transpose()?;
         let Some(table) = &file.rotation else {
             if let Some(covariance) = &file.covariance {
-                let message = "[covariance] is of full poses, and there is no [rotation]";
+                let message = "[covariance] applies to full poses, but there is no [rotation]";
                 let expected = "[rotation], or [sigma] for points";
                 return Err(self.error(covariance.span(), message, expected));
             }
             if let Some(stated) = file.noise.as_ref().and_then(|noise| noise.get_ref().rotation_urad.as_ref())
             {
-                let message = "rotation_urad is of full poses, and there is no [rotation]";
+                let message = "rotation_urad applies to full poses, but there is no [rotation]";
                 return Err(self.error(stated.span(), message, "[rotation], or no rotation_urad"));
             }
             return Ok(OfPose { rotation: None, uncertainty: sigmas, noise });
@@ -44,7 +44,7 @@ impl Reader<'_> {
         let rotation = self.rotation(table)?;
         if rotation.is_of_tracker && matches!(position, PositionColumns::Spherical { .. }) {
             let message =
-                "tracker_in_target has a spherical position: nobody measures the tracker from the target";
+                "tracker_in_target has a spherical position, but a tracker's range and angles are measured from the tracker";
             return Err(self.error(
                 table.span(),
                 message,
@@ -61,22 +61,22 @@ impl Reader<'_> {
                 Some(self.covariance_columns(covariance)?)
             }
             (Some(covariance), _) => {
-                let message = "[covariance] states what sigmas state as well";
+                let message = "[covariance] and sigmas state the same uncertainty";
                 return Err(self.error(
                     covariance.span(),
                     message,
-                    "[covariance], or [sigma] and sigma in [rotation]",
+                    "either [covariance], or [sigma] and sigma in [rotation]",
                 ));
             }
         };
         if file.covariance.is_some() && is_noisy == Some(false) {
-            let message = "[noise] states the size of positions, and not of rotations";
+            let message = "[noise] states the size for positions, but not for rotations";
             return Err(self.error(table.span(), message, "rotation_urad in [noise], or no [noise]"));
         }
         Ok(OfPose { rotation: Some(rotation), uncertainty, noise })
     }
 
-    /// Refuses an uncertainty of positions without one of rotations, and the other way around.
+    /// Refuses an uncertainty of positions without one of rotations, and the reverse.
     fn whole_or_none(
         &self,
         table: &Spanned<RotationTable>,
@@ -88,11 +88,11 @@ impl Reader<'_> {
         let of_rotation = rotation.sigma.is_some() || noise == Some(true);
         let (message, expected) = match (of_position, of_rotation) {
             (true, false) => (
-                "the uncertainty of positions is stated, and none of rotations",
+                "the uncertainty of positions is stated, but not that of rotations",
                 "sigma in [rotation], or rotation_urad in [noise]",
             ),
             (false, true) => (
-                "the uncertainty of rotations is stated, and none of positions",
+                "the uncertainty of rotations is stated, but not that of positions",
                 "[sigma], or range and transverse in [noise]",
             ),
             _ => return Ok(()),
@@ -104,8 +104,9 @@ impl Reader<'_> {
         let (t, span) = (spanned.get_ref(), spanned.span());
         let table = ("rotation", &span);
         let Some(transform) = &t.transform else {
-            let message = "[rotation] does not say what position and rotation are of";
-            let expected = "transform = \"target_in_tracker\": of the target, in the tracker's frame; or transform = \"tracker_in_target\"";
+            let message = "[rotation] does not say which frame is given in which";
+            let expected = "transform = \"target_in_tracker\": the target's pose in the tracker's frame; or transform = \
+                            \"tracker_in_target\"";
             return Err(self.error(span, message, expected));
         };
         let is_of_tracker = match transform.get_ref().as_str() {
@@ -124,7 +125,7 @@ impl Reader<'_> {
         if let Some(unit) = t.unit.as_ref().filter(|_| !form.has_unit()) {
             return Err(self.error(
                 unit.span(),
-                "unit is of angles, and these numbers have none",
+                "unit applies to angles, but these numbers are not angles",
                 "no unit here",
             ));
         }
@@ -138,7 +139,7 @@ impl Reader<'_> {
         if let Some(k) = t.k.as_ref().filter(|_| sigma.is_none()) {
             return Err(self.error(
                 k.span(),
-                "k is the coverage factor of sigma, and there is none",
+                "k is the coverage factor of sigma, but there is no sigma",
                 "sigma, or no k",
             ));
         }
@@ -159,7 +160,7 @@ impl Reader<'_> {
         let columns = self.entries(sigma)?;
         if columns.len() != 1 && columns.len() != 3 {
             let message = format!("sigma names {} columns", columns.len());
-            let expected = "one for every axis, or three: about the tracker's x, y and z";
+            let expected = "one for all axes, or three: about the tracker's x, y and z";
             return Err(self.error(sigma.span(), message, expected));
         }
         Ok(RotationSigma { columns, unit: t.sigma_unit, coverage: self.coverage(t.k.as_ref())? })
@@ -171,7 +172,7 @@ impl Reader<'_> {
         let form = form.map_err(|_| {
             self.error(
                 span.clone(),
-                "[rotation] does not say what its numbers are",
+                "[rotation] does not say in which form its numbers are",
                 &format!("form = {FORMS}"),
             )
         })?;
@@ -252,8 +253,8 @@ impl Reader<'_> {
         table: &std::ops::Range<usize>,
         sequence: Option<&Spanned<String>>,
     ) -> Result<RotationForm, InputError> {
-        let expected = "sequence = \"zyx intrinsic\" (each about the axes as the turns before left them) or \"xyz fixed\" (about axes that stay), \
-                        the axes in the order of the columns";
+        let expected = "sequence = \"zyx intrinsic\" (each about the axes as the turns before left them) or \"xyz fixed\" \
+                        (about axes that stay), with the axes in the order of the columns";
         let Some(sequence) = sequence else {
             return Err(self.error(
                 table.clone(),
@@ -271,11 +272,11 @@ impl Reader<'_> {
         let (Some(unit), Some(angle_unit)) = (t.unit, t.angle_unit) else {
             let message = "[covariance] does not say its units";
             let expected =
-                "unit and angle_unit, such as \"mm\" and \"rad\": the elements are products of two of them";
+                "unit and angle_unit, such as \"mm\" and \"rad\": each element is a product of two of them";
             return Err(self.error(spanned.span(), message, expected));
         };
         let columns = if let RawEntry::List(items) = t.columns.get_ref() {
-            // Of a whole matrix one column may stand at both places of an element.
+            // In a whole matrix one column may be at both places of an element.
             items.iter().map(|item| self.sum(item)).collect::<Result<Vec<_>, _>>()?
         } else {
             vec![self.sum(&t.columns)?]
@@ -295,8 +296,9 @@ impl Reader<'_> {
     ) -> Result<FaceColumn, InputError> {
         let t = spanned.get_ref();
         if matches!(position, PositionColumns::Cartesian { .. }) {
-            let message = "[face] is of range and angles, and [position] is cartesian";
-            let expected = "a spherical position; or no [face], and repeats = \"average\" in [rows]: then both faces of a pose count as one reading";
+            let message = "[face] applies to range and angles, but [position] is cartesian";
+            let expected = "a spherical position; or no [face], and repeats = \"average\" in [rows]: then both faces of a \
+                            pose are averaged as repeats";
             return Err(self.error(spanned.span(), message, expected));
         }
         let words = match (&t.front, &t.back) {
@@ -307,7 +309,7 @@ impl Reader<'_> {
             (one, _) => {
                 let (missing, there) = if one.is_some() { ("back", "front") } else { ("front", "back") };
                 let message =
-                    format!("[face] says what stands for the {there} face, and not for the {missing}");
+                    format!("[face] says which texts mean the {there} face, but not which mean the {missing}");
                 return Err(self.error(
                     spanned.span(),
                     message,
@@ -317,15 +319,16 @@ impl Reader<'_> {
         };
         let [front, back] = &words;
         if let Some(both) = front.iter().find(|word| back.contains(word)) {
-            let message = format!("{both:?} stands for the front and for the back face");
-            return Err(self.error(spanned.span(), message, "different texts"));
+            let message = format!("{both:?} stands for both the front and the back face");
+            return Err(self.error(spanned.span(), message, "different texts for the two faces"));
         }
         let angles = match t.angles.as_ref().map(|angles| (angles, angles.get_ref().as_str())) {
             None => BackAngles::Found,
             Some((_, "raw")) => BackAngles::Raw,
             Some((_, "direction")) => BackAngles::Direction,
             Some((angles, other)) => {
-                let expected = "\"raw\": of the back face the encoders' azimuth + 180° and 360° - zenith; or \"direction\": of the point, as in the front face";
+                let expected = "\"raw\": back-face angles as the encoders show them, azimuth + 180° and 360° - zenith; or \
+                                \"direction\": of the point, as in the front face";
                 return Err(self.error(angles.span(), format!("angles is {other:?}"), expected));
             }
         };

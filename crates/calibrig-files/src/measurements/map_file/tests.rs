@@ -102,19 +102,19 @@ fn sums_signs_and_units_are_understood() {
 fn every_mistake_is_named_with_its_line_and_what_was_expected() {
     for (text, from, to, message, line, help) in [
         (CARTESIAN, "columns/1", "columns/9", "columns/9", 1, "columns/1"),
-        (CARTESIAN, "[\"j1\", \"j2\"]", "[]", "names no columns", 2, "one column a joint"),
+        (CARTESIAN, "[\"j1\", \"j2\"]", "[]", "names no columns", 2, "one column per joint"),
         (CARTESIAN, "\"j2\"", "\"j1\"", "\"j1\" is named twice", 3, "each"),
         (CARTESIAN, "\"j2\"", "\" \"", "is empty", 3, "header"),
         (CARTESIAN, "\"deg\"", "\"grad\"", "joints.revolute_unit is \"grad\"", 4, "`deg`"),
         (CARTESIAN, "revolute_unit", "unit", "unknown key `unit`", 4, "`revolute_unit`"),
         (CARTESIAN, "system = \"cartesian\"\n", "", "[position] has no system", 5, "system"),
         (CARTESIAN, "z = [\"zt\"]\n", "", "[position] has no z", 5, "z"),
-        (CARTESIAN, "[\"zt\"]", "[]", "a sum of no columns", 10, "one column or more"),
+        (CARTESIAN, "[\"zt\"]", "[]", "a sum without columns", 10, "at least one column"),
         (CARTESIAN, "[\"zt\"]", "[\"-\"]", "a sign without a column", 10, "header"),
         (CARTESIAN, "[\"zt\"]", "1.5", "position.z is 1.5", 10, "a signed sum"),
-        (CARTESIAN, "[\"zt\"]", "0", "0 is no column", 10, "from 1"),
+        (CARTESIAN, "[\"zt\"]", "0", "0 is not a column", 10, "from 1"),
         (CARTESIAN, "[\"zt\"]", "\"a + \"", "a sign without a column", 10, "header"),
-        (CARTESIAN, "\"No\"", "[\"a\", \"b\"]", "is no single column", 17, "one column"),
+        (CARTESIAN, "\"No\"", "[\"a\", \"b\"]", "is not a single column", 17, "one column"),
         (CARTESIAN, "x = \"sx\"", "k = 0\nx = \"sx\"", "k is 0", 13, "above zero"),
         (
             CARTESIAN,
@@ -137,11 +137,11 @@ fn every_mistake_is_named_with_its_line_and_what_was_expected() {
             CARTESIAN,
             "z = \"sz\"",
             "z = \"sz\"\nsystem = \"cartesian\"",
-            "[sigma] is in the system of",
+            "[sigma] uses the system of",
             16,
             "no key",
         ),
-        (CARTESIAN, "[\"a1\", \"a2\"]", "[\"a1\"]", "approach names 1 columns, [joints] 2", 18, "actuator"),
+        (CARTESIAN, "[\"a1\", \"a2\"]", "[\"a1\"]", "approach names 1 columns, but [joints] names 2", 18, "actuator"),
         (CARTESIAN, "pose", "number", "unknown key `number`", 17, "`pose`"),
         (SPHERICAL, "\"spherical\"", "\"cartesian\"", "range does not belong", 7, "alone"),
         (SPHERICAL, "zenith = \"Ze\"", "", "neither elevation nor zenith", 5, "one of"),
@@ -202,7 +202,7 @@ fn the_documented_map_is_valid() {
         .flat_map(|line| [line.trim_start_matches("//!"), "\n"])
         .collect();
     let map = parse(&documented).expect_err("approaches are stated in two ways");
-    assert!(map.to_string().contains("approach names columns, and [rows] has approach_from"), "{map}");
+    assert!(map.to_string().contains("approach names columns, but [rows] has approach_from as well"), "{map}");
     let documented = documented.replacen("approach = [", "# approach = [", 1);
     let map = parse(&documented).expect("as documented");
     let mapping = map.mapping().expect("named");

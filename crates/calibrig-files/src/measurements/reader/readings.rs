@@ -1,4 +1,4 @@
-//! What a row's cells say of where the target is: a point, or a full pose.
+//! What a row's cells state about the target: a point, or a full pose.
 
 use nalgebra::{Cholesky, DMatrix, Matrix3, Matrix6, Rotation3, SMatrix, Vector3};
 
@@ -37,14 +37,14 @@ impl Cells<'_> {
         if let Reading::Cartesian { covariance: Some(covariance), .. } = &point
             && !is_definite(covariance)
         {
-            let message = "the uncertainties of its coordinates are too far apart to be told from each other";
+            let message = "the uncertainties of its coordinates are too different in size to compute with";
             let expected = "standard deviations of a measured point: are their units right?";
             return Err(self.row.refuse(self.reader.file, None, message.to_owned(), expected));
         }
         Ok(Some(point))
     }
 
-    /// The place with the uncertainty that its row states; `None` for a missed shot.
+    /// The place with the uncertainty stated in its row; `None` for a missed shot.
     fn point(&self) -> Result<Option<Reading>, InputError> {
         match &self.reader.columns.position {
             Position::Cartesian(axes) => {
@@ -64,7 +64,9 @@ impl Cells<'_> {
                     return Ok(None);
                 }
                 if values[0] <= 0.0 {
-                    return Err(self.refuse_cell(range.terms[0].column, "a range above zero; what marks a missed shot is named by `--missed CODE`, or `missed` in [position] of the column map"));
+                    return Err(self.refuse_cell(range.terms[0].column, "a range above zero; name the value that marks a \
+                                                                        missed shot with `--missed CODE`, or `missed` in \
+                                                                        [position] of the column map"));
                 }
                 // The standard deviation of an elevation is that of the zenith angle.
                 Ok(Some(Reading::Spherical(SphericalReading {
@@ -105,7 +107,7 @@ impl Cells<'_> {
         pose.position.iter().try_for_each(|coordinate| self.check_size(place, *coordinate))?;
         let covariance = self.pose_covariance(rotation, &point, &pose, jacobian.as_ref())?;
         covariance.iter().flatten().try_for_each(|element| self.check_size(place, *element))?;
-        // Turned around, a rotation that is hardly known drowns the position's own digits.
+        // After inversion, a hardly known rotation swamps the position's own digits.
         if covariance.as_ref().is_some_and(|covariance| !is_definite(covariance)) {
             return Err(self.refuse_apart());
         }
@@ -116,8 +118,8 @@ impl Cells<'_> {
         }))))
     }
 
-    /// Of place and rotation in the tracker's axes; `None` where nothing is stated of either. `jacobian` takes the numbers of the file to the
-    /// pose where they are those of the tracker in the target's frame.
+    /// Of place and rotation in the tracker's axes; `None` if neither is stated. `jacobian` converts the file's numbers to the pose if they
+    /// are those of the tracker in the target's frame.
     fn pose_covariance(
         &self,
         rotation: &RotationQuantities,
@@ -152,15 +154,15 @@ impl Cells<'_> {
 
     fn refuse_apart(&self) -> InputError {
         let message =
-            "the uncertainties of its position and rotation are too far apart to be told from each other";
+            "the uncertainties of its position and rotation are too different in size to compute with";
         let expected = "standard deviations of a measured pose: are their units right?";
         self.row.refuse(self.reader.file, None, message.to_owned(), expected)
     }
 
     fn refuse_half(&self, stated: &str, missing: &str) -> InputError {
         let message =
-            format!("the uncertainty of the {stated} is stated, and that of the {missing} is empty");
-        let expected = "both in a row, or neither; or [noise] in the column map with rotation_urad for rows that state none";
+            format!("the uncertainty of the {stated} is stated, but that of the {missing} is empty");
+        let expected = "both in a row, or neither; or [noise] in the column map with rotation_urad for rows without their own";
         self.row.refuse(self.reader.file, None, message, expected)
     }
 
@@ -179,7 +181,7 @@ impl Cells<'_> {
         Ok(Some(Matrix3::from_diagonal(&variances)))
     }
 
-    /// The 6 x 6 covariance that the row states.
+    /// The 6 x 6 covariance stated in the row.
     fn whole_covariance(&self) -> Result<Option<Matrix6<f64>>, InputError> {
         let Some(UncertaintyColumns::Pose { columns, scales }) = &self.reader.columns.uncertainty else {
             return Ok(None);
@@ -222,7 +224,7 @@ impl Cells<'_> {
                 let size = (covariance[(i, i)] * covariance[(j, j)]).sqrt();
                 if (below - covariance[(i, j)]).abs() > 1e-3 * size {
                     let message = format!(
-                        "the covariance is not symmetric: {} is {below:e} and {} is {:e} (SI)",
+                        "the covariance is not symmetric: {} is {below:e}, but {} is {:e} (SI)",
                         self.names_of(&columns[6 * i + j..=6 * i + j]),
                         self.names_of(&columns[6 * j + i..=6 * j + i]),
                         covariance[(i, j)]
@@ -236,7 +238,7 @@ impl Cells<'_> {
         Ok(())
     }
 
-    /// Gives a spherical reading its face, and the direction of the point in place of what the encoders show in the back face.
+    /// Gives a spherical reading its face, and the direction of the point instead of the encoders' angles in the back face.
     pub(super) fn turn_to_point(&self, reading: &mut Reading, faces: &Faces) -> Result<FaceSeen, InputError> {
         let Reading::Spherical(spherical) = reading else {
             return match &self.reader.columns.face {
@@ -276,7 +278,7 @@ impl Cells<'_> {
         }
         if !is_one_of(back) {
             let expected = format!(
-                "one of {front:?} (front face) or {back:?} (back face), as [face] of a column map says"
+                "one of {front:?} (front face) or {back:?} (back face), as [face] of a column map states"
             );
             return Err(self.refuse_cell(*column, &expected));
         }
@@ -305,7 +307,8 @@ impl Cells<'_> {
         };
         let stated = |here: &str, other: &str| {
             format!(
-                "[face] states angles = {here:?}; if all of the back face are like this one, state angles = {other:?}, or no angles"
+                "[face] states angles = {here:?}; if all back-face readings are like this one, state angles = {other:?}, or \
+                 leave angles out"
             )
         };
         let (expected, why) = match (angles, &faces.back) {
@@ -315,13 +318,13 @@ impl Cells<'_> {
             (BackAngles::Found, None) => return Ok(is_beyond),
             (BackAngles::Found, Some((is_raw, place))) => (
                 *is_raw,
-                format!("they are so in {place}; angles in [face] of the column map says which they are"),
+                format!("they are so in {place}; state with angles in [face] of the column map which they are"),
             ),
         };
         if expected == is_beyond {
             return Ok(is_beyond);
         }
-        let expected = format!("angles of the back face that are {}: {why}", kind(expected));
+        let expected = format!("back-face angles that are {}: {why}", kind(expected));
         Err(self.refuse_cell(polar, &expected))
     }
 
@@ -335,7 +338,7 @@ impl Cells<'_> {
         names.join(", ")
     }
 
-    /// `None` where the file has no columns for it, or the row nothing in them.
+    /// `None` if the file has no columns for it, or the row has nothing in them.
     fn covariance(&self) -> Result<Option<Matrix3<f64>>, InputError> {
         match &self.reader.columns.uncertainty {
             // That of a full pose is read as a whole.
@@ -387,8 +390,8 @@ impl Cells<'_> {
         let message =
             format!("column {} is {:?}: a {what} of 0 was read", self.header(column), self.cell(column));
         let help = format!(
-            "a {what} above zero, since no reading is exact: where the instrument rounds, what it rounds to or more; \
-             or the cells of the row's uncertainty empty, so that it counts as not stated"
+            "a {what} above zero, since no reading is exact: if the instrument rounds, at least its rounding step; or leave \
+             the cells of the row's uncertainty empty, so that it counts as not stated"
         );
         self.refuse(column, message, &help)
     }
@@ -413,7 +416,7 @@ impl Cells<'_> {
         if value.is_finite() {
             Ok(())
         } else {
-            Err(self.refuse_cell(column, "a number of a measurable size"))
+            Err(self.refuse_cell(column, "a number of a plausible size"))
         }
     }
 }
@@ -425,7 +428,7 @@ struct Stated {
 }
 
 impl Stated {
-    /// The pose the other way around, and how it moves with errors of the stated numbers: e of the position and φ of `exp(φ) · rotation`.
+    /// The inverse of the pose, and its derivative by errors of the stated numbers: e of the position and φ of `exp(φ) · rotation`.
     fn turned_around(&self) -> (Self, Option<Matrix6<f64>>) {
         let rotation = self.rotation.inverse();
         let position = -(rotation * self.position);
@@ -464,7 +467,7 @@ fn turn_over(reading: &mut SphericalReading) {
 /// Place of a symmetric matrix's element in its upper triangle by rows.
 const TRIANGLE: [[usize; 3]; 3] = [[0, 1, 2], [1, 3, 4], [2, 4, 5]];
 
-/// Share of a variance that the other coordinates must leave open: less is lost in the rounding of what is then done with it.
+/// Share of a variance that the other coordinates must leave open: less is lost in later rounding.
 const OPEN: f64 = 1e-12;
 
 /// Whether it is positive definite by more than rounding, whatever the units of its rows.

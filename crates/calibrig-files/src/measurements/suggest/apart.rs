@@ -1,4 +1,4 @@
-//! Joints in one file and points in others: which is which, where no header tells it.
+//! Joints in one file and points in others: which is which, if no header says so.
 
 use super::SeenFile;
 use super::column::{Role, SeenColumn};
@@ -6,7 +6,7 @@ use super::column::{Role, SeenColumn};
 /// No axis turns further than two turns, in degrees.
 const MOST_ANGLE: f64 = 720.0;
 
-/// Gives files that were looked at one by one the roles that they have together.
+/// Gives files that were read separately their common roles.
 pub(super) fn see_together(files: &mut [SeenFile]) {
     if files.len() < 2 {
         return;
@@ -15,7 +15,7 @@ pub(super) fn see_together(files: &mut [SeenFile]) {
         [Role::X, Role::Range].iter().any(|role| file.one(*role).is_some())
             && file.with(Role::Joint).is_empty()
     };
-    // A controller's log has its own place beside the joints: the points are in the other files.
+    // A controller's log has its own position next to the joints: the points are in the other files.
     if files.iter().any(has_points) {
         for file in files.iter_mut().filter(|file| file.has_header && !file.with(Role::Joint).is_empty()) {
             if file.one(Role::X).is_some_and(|x| x.doubt.is_some()) {
@@ -28,7 +28,7 @@ pub(super) fn see_together(files: &mut [SeenFile]) {
             !files[*index].has_header && !files[*index].is_bag && looks_like_angles(&files[*index])
         })
         .collect();
-    // Three numbers a row are a point, unless those of all others are lengths by their size.
+    // Three numbers per row are a point, unless those of all others are lengths by their size.
     let is_wide = |index: &usize| numbers(&files[*index]).count() != 3;
     let wide: Vec<usize> = bare.iter().copied().filter(is_wide).collect();
     let [joints] = (if wide.is_empty() { &bare } else { &wide }).as_slice() else { return };
@@ -48,7 +48,7 @@ fn numbers(file: &SeenFile) -> impl Iterator<Item = &SeenColumn> {
     })
 }
 
-/// Whether all numbers can be angles, but for one that may slide; points have two lengths or more that are longer, or hold three numbers alone.
+/// Whether all numbers can be angles, except for one that may slide; points have at least two larger lengths, or only three numbers.
 fn looks_like_angles(file: &SeenFile) -> bool {
     let long = numbers(file).filter(|column| column.numbers.largest() > MOST_ANGLE).count();
     let count = numbers(file).count();
@@ -63,7 +63,7 @@ fn take_all_as_joints(file: &mut SeenFile) {
         column.take(
             Role::Joint,
             order,
-            "numbers that can be angles, and the points are in the other files; check it",
+            "the numbers could be angles, and the points are in the other files; check it",
         );
     }
 }

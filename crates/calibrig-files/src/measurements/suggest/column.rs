@@ -114,13 +114,13 @@ impl Numbers {
     }
 }
 
-/// Numbers that programs write for what they have not measured.
+/// Numbers that programs write for missing values.
 const CODES: [f64; 6] = [-9999.0, 9999.0, -999.0, 999.0, -99_999.0, 999_999.0];
 
 /// Different texts of a column that are kept.
 const MOST_TEXTS: usize = 64;
 
-/// A column and all that is seen of it.
+/// A column and its findings.
 pub(in super::super) struct SeenColumn {
     /// From 1.
     pub number: usize,
@@ -131,10 +131,10 @@ pub(in super::super) struct SeenColumn {
     cells: u64,
     empty: u64,
     times: u64,
-    /// Of the times, dates alone, and dates with times.
+    /// Among the times: dates alone, and dates with times.
     days: u64,
     moments: u64,
-    /// A date whose day and month cannot be told apart.
+    /// A date whose day and month are ambiguous.
     pub ambiguous: Option<String>,
     pub joint: Option<JointName>,
     texts: BTreeSet<String>,
@@ -142,15 +142,15 @@ pub(in super::super) struct SeenColumn {
     /// More than are kept.
     pub many_texts: bool,
     pub role: Option<Role>,
-    /// Why it may be that.
+    /// The reason for the role.
     pub reason: String,
-    /// Why a person must decide whether it is that.
+    /// Why a person must decide on the role.
     pub doubt: Option<String>,
     /// Whether another column has this name as well.
     pub is_repeated: bool,
-    /// Place among those of the same role.
+    /// Index among those of the same role.
     pub order: usize,
-    /// Whether it is of an orientation that stands beside the position.
+    /// Whether it belongs to an orientation next to the position.
     pub is_beside: bool,
 }
 
@@ -218,7 +218,7 @@ impl SeenColumn {
         }
     }
 
-    /// Whether it holds numbers but for some cells: missed shots have marks.
+    /// Whether it holds numbers except for some cells: missed shots have marks.
     pub fn is_number(&self) -> bool {
         let filled = self.cells - self.empty;
         self.numbers.count > 0 && 10 * self.numbers.count >= 9 * filled
@@ -249,7 +249,7 @@ impl SeenColumn {
         texts.map(|text| quoted(text)).chain(self.codes.iter().cloned()).collect()
     }
 
-    /// Whether it tells what the flange carries.
+    /// Whether it describes the payload.
     pub fn is_of_payload(&self) -> bool {
         matches!(self.role, Some(Role::Payload | Role::PayloadMass))
     }
@@ -258,12 +258,12 @@ impl SeenColumn {
         (self.role, self.order, self.reason) = (Some(role), order, reason.into());
     }
 
-    /// The name, without its unit where that is in brackets.
+    /// The name, without a unit in brackets.
     pub fn said_name(&self) -> &str {
         if self.unit.is_some() { &self.name } else { &self.header }
     }
 
-    /// As a map names it; by number where the name is not its own, or would be read as a sign, a sum or a number.
+    /// As a map names it; by number if the name is not unique, or would be read as a sign, a sum or a number.
     pub fn entry(&self, has_header: bool) -> String {
         let name = self.said_name();
         let is_more = name.starts_with(['-', '+', '#'])
@@ -275,7 +275,7 @@ impl SeenColumn {
     }
 }
 
-/// Gives every column the role that its name, or what is in it, calls for.
+/// Gives every column the role that its name or its content suggests.
 pub(in super::super) fn give_roles(columns: &mut [SeenColumn], has_header: bool, rows: u64) {
     if has_header {
         by_name(columns);
@@ -283,7 +283,7 @@ pub(in super::super) fn give_roles(columns: &mut [SeenColumn], has_header: bool,
     by_contents(columns, has_header, rows);
 }
 
-/// The same of a bag, whose columns are what [`read_bag`](super::super::read_bag) makes of it: whatever has no name of its own there is a joint.
+/// The same for a bag, whose columns are those of [`read_bag`](super::super::read_bag): a column without one of its own names is a joint.
 pub(in super::super) fn give_roles_of_a_bag(columns: &mut [SeenColumn]) {
     for column in columns {
         let known = match column.header.as_str() {
@@ -317,13 +317,13 @@ fn by_name(columns: &mut [SeenColumn]) {
         let carried = payload::role_of(column).map(Said::Role);
         match carried.or_else(|| said_by(column.said_name())) {
             Some(Said::Joint(joint)) if column.is_number() => {
-                // What stands beside the arm comes behind it.
+                // Axes that are not part of the arm come after it.
                 let beside = if joint.is_external { 10_000 } else { 0 };
                 column.take(Role::Joint, joint.order.map_or(usize::MAX, |order| order + beside), called);
                 column.joint = Some(joint);
             }
             Some(Said::Role(role)) => {
-                // T [°C] is no time.
+                // T [°C] is not a time.
                 let is_warm = role == Role::Time && column.unit == Some(HeaderUnit::Other);
                 let role = if is_warm { Role::Temperature } else { role };
                 if !role.holds_numbers() || column.is_number() {
@@ -338,7 +338,7 @@ fn by_name(columns: &mut [SeenColumn]) {
     choose_joints(columns);
     leave_times_that_fall(columns);
     triples::choose(columns);
-    // "t" beside joints and a position is a time; of "a" to "z" alone nothing follows.
+    // "t" next to joints and a position is a time; one of "a" to "z" alone shows nothing.
     let is_one =
         |columns: &[SeenColumn], role| columns.iter().filter(|column| column.role == Some(role)).count() == 1;
     for role in [Role::X, Role::Y, Role::Z, Role::Pose, Role::Name] {
@@ -352,7 +352,7 @@ fn by_name(columns: &mut [SeenColumn]) {
     }
 }
 
-/// Of q0 to q3, or q1 to q4, directly behind a place and within 1 nobody knows that they are joints: a probe's export has its quaternion there.
+/// q0 to q3, or q1 to q4, directly after a place and within 1 may not be joints: a probe's export has its quaternion there.
 fn leave_quaternions(columns: &mut [SeenColumn]) {
     let numbered = |column: &SeenColumn| {
         let joint = column.joint.as_ref().filter(|joint| joint.family.ends_with('q'))?;
@@ -401,18 +401,19 @@ fn take_axes_with_letters(columns: &mut [SeenColumn]) {
     }
 }
 
-/// A time does not fall, and T may be many things.
+/// A time does not fall, and T may mean many things.
 fn leave_times_that_fall(columns: &mut [SeenColumn]) {
     for column in columns.iter_mut().filter(|column| column.role == Some(Role::Time)) {
         let is_t = words(column.said_name()) == ["t"] && column.unit.is_none();
         if is_t && column.is_number() && column.numbers.falls {
             column.role = None;
-            column.reason = String::from("it falls from row to row, so it is no time");
+            column.reason = String::from("it falls from row to row, so it is not a time");
         }
     }
 }
 
-/// Of several families of joints, such as commanded and actual ones, or joints and a quaternion: the commanded one, else the largest.
+/// Among several families of joints, such as commanded and actual ones, or joints and a quaternion: the commanded one, else the
+/// largest.
 fn choose_joints(columns: &mut [SeenColumn]) {
     let mut families: Vec<(String, usize, bool)> = Vec::new();
     for joint in columns.iter().filter_map(|column| column.joint.as_ref()) {
@@ -452,7 +453,7 @@ fn by_contents(columns: &mut [SeenColumn], has_header: bool, rows: u64) {
             .filter(|index| columns[*index].role.is_none() && columns[*index].is_number())
             .collect()
     };
-    // Without a header, what stands in the columns is all there is.
+    // Without a header, only the content of the columns is known.
     if !has_header {
         let mut rest = free(columns);
         if let Some(first) = rest.first().copied()
@@ -461,7 +462,7 @@ fn by_contents(columns: &mut [SeenColumn], has_header: bool, rows: u64) {
             && columns[first].numbers.are_rising
             && rows > 1
         {
-            columns[first].take(Role::Pose, 0, "whole numbers that rise");
+            columns[first].take(Role::Pose, 0, "whole numbers that increase");
             rest.remove(0);
         }
         if rest.len() >= 3 {

@@ -1,4 +1,4 @@
-//! What the name of a column says of it.
+//! What the name of a column suggests.
 
 use super::super::units::HeaderUnit;
 use super::column::Role;
@@ -12,25 +12,25 @@ pub(super) enum Said {
 
 /// The name of a joint's column.
 #[derive(Debug, Clone, PartialEq, Eq)]
-#[expect(clippy::struct_excessive_bools, reason = "each is said or not, whatever the others are")]
+#[expect(clippy::struct_excessive_bools, reason = "each axis is stated or not, independently of the others")]
 pub(in super::super) struct JointName {
-    /// All of the name but its number: of joints that belong together it is the same.
+    /// All of the name except its number: the same for joints that belong together.
     pub family: String,
-    /// By its number, or by its place on an arm where its name tells that.
+    /// By its number, or by its place on an arm if its name shows that.
     pub order: Option<usize>,
-    /// Beside the arm: a rail, a turntable.
+    /// Not part of the arm: a rail, a turntable.
     pub is_external: bool,
-    /// Whether its name is that of something that slides.
+    /// Whether its name is that of a sliding axis.
     pub slides: bool,
-    /// Whether it is named for what it is, and not by a number.
+    /// Whether it is named by its kind rather than by a number.
     pub has_own_name: bool,
-    /// In the manner of a `sensor_msgs/JointState`, which is in rad and m.
+    /// In the style of a `sensor_msgs/JointState`, which is in rad and m.
     pub is_of_ros: bool,
     pub is_command: bool,
 }
 
 impl JointName {
-    /// An axis that has a letter in place of a number.
+    /// An axis with a letter instead of a number.
     pub(super) fn of_letter(family: &str, order: usize) -> Self {
         Self {
             family: format!("{family} letter"),
@@ -44,7 +44,7 @@ impl JointName {
     }
 }
 
-/// Parts of names that tell that a column is another quantity than it would be without.
+/// Parts of names that change the quantity of a column.
 const OTHER: [&str; 40] = [
     "velocity",
     "velocities",
@@ -150,7 +150,7 @@ pub(super) fn words(name: &str) -> Vec<String> {
     parts.filter(|part| !part.is_empty()).map(str::to_lowercase).collect()
 }
 
-/// What a name holds beside the x, y or z at its end or begin: of columns that belong together it is the same.
+/// What is left of a name without the x, y or z at its end or start: the same for columns that belong together.
 pub(super) fn beside_axis(name: &str) -> Vec<String> {
     let is_axis = |word: &str| matches!(word, "x" | "y" | "z");
     let mut words = words(name);
@@ -240,7 +240,7 @@ fn joint(words: &[String], is_command: bool) -> Option<JointName> {
     made(String::new(), place.map(|place| 100 * place + number.min(99)), false, true)
 }
 
-/// Words that tell nothing of which joint it is.
+/// Words that do not identify a joint.
 fn is_plain(word: &str) -> bool {
     [
         "joint",

@@ -1,4 +1,4 @@
-//! Loads on the flange, as names of columns and what stands in them tell.
+//! Loads on the flange, from names of columns and their content.
 
 use super::SeenFile;
 use super::column::{Role, SeenColumn};
@@ -23,9 +23,9 @@ const AXES: [(&str, Role); 6] = [
     ("cy", Role::PayloadY),
     ("cz", Role::PayloadZ),
 ];
-/// Names that people give to a flange without a load.
+/// Names for a flange without a load.
 const NOTHING: [&str; 8] = ["empty", "leer", "ohne", "no load", "unloaded", "without", "-", "nothing"];
-/// Nobody weighs more for one session.
+/// Heavier than any load of one session.
 const MOST_PAYLOADS: usize = 12;
 
 /// What a column is of a payload, by its name.
@@ -43,7 +43,7 @@ pub(super) fn role_of(column: &SeenColumn) -> Option<Role> {
         return if is_number { Some(Role::PayloadMass) } else { is_load.then_some(Role::Payload) };
     }
     if is_load && rest.iter().all(|word| NAMES.contains(word)) {
-        // The load of a motor is called so as well.
+        // A motor's load has the same name.
         let is_motors = words == ["load"] && column.is_number();
         return (!is_motors).then_some(Role::Payload);
     }
@@ -97,7 +97,7 @@ fn numbers(
     said.push(match mass_unit(mass) {
         Some(("kg", _)) => key("payload_mass_kg", mass, "; kg, as its name says".to_owned()),
         Some((unit, _)) => {
-            let why = format!("in {unit} by its name, and the key reads kg: convert the column");
+            let why = format!("in {unit} by its name, but the key reads kg: convert the column");
             open("payload_mass_kg", mass, why)
         }
         None => key("payload_mass_kg", mass, "; taken for kg".to_owned()),
@@ -109,14 +109,14 @@ fn numbers(
                 key(name, column, "; mm, as its name says".to_owned())
             }
             Some(other) => {
-                let why = format!("in {} by its name, and the key reads mm: convert the column", other.key());
+                let why = format!("in {} by its name, but the key reads mm: convert the column", other.key());
                 open(name, column, why)
             }
-            // Three metres off the flange nothing is carried, and within 3 mm of it neither.
+            // No load is carried three metres from the flange, nor within 3 mm of it.
             None if largest > 3.0 => key(name, column, "; taken for mm, by their size".to_owned()),
             None => {
                 let why = format!(
-                    "up to {}: in m, by its size, and the key reads mm: convert the column",
+                    "up to {}: in m, by its size, but the key reads mm: convert the column",
                     short(largest)
                 );
                 open(name, column, why)
@@ -126,7 +126,7 @@ fn numbers(
     said
 }
 
-/// Payloads that rows name, or tell by their mass.
+/// Payloads that rows name, or identify by their mass.
 fn by_name(file: &SeenFile, column: &SeenColumn) -> Carried {
     let entry = column.entry(file.has_header);
     let is_none = |text: &str| text == NO_PAYLOAD || text.parse() == Ok(0.0);
@@ -136,10 +136,10 @@ fn by_name(file: &SeenFile, column: &SeenColumn) -> Carried {
         let (key, why) = if is_mass {
             (
                 "payload_mass_kg",
-                "many masses: needs payload_x_mm, payload_y_mm and payload_z_mm beside it, the columns of their centres",
+                "many masses: needs payload_x_mm, payload_y_mm and payload_z_mm, the columns of their centres",
             )
         } else {
-            ("payload", "more names than a flange has loads: does it say what is carried?")
+            ("payload", "more names than a flange would carry loads: does it name the load?")
         };
         return Carried { keys: vec![Said::Open(key.to_owned(), entry, why.to_owned())], tables: Vec::new() };
     }
@@ -152,7 +152,7 @@ fn by_name(file: &SeenFile, column: &SeenColumn) -> Carried {
     Carried { keys: vec![Said::Key("payload".to_owned(), entry, why)], tables }
 }
 
-/// What is known of a payload of this name, and what a person must say.
+/// What is known about a payload of this name, and what a person must add.
 fn table(name: &str, is_mass: bool, unit: Option<(&'static str, f64)>) -> Vec<Said> {
     let open =
         |key: &str, value: &str, why: &str| Said::Open(key.to_owned(), value.to_owned(), why.to_owned());
@@ -163,20 +163,20 @@ fn table(name: &str, is_mass: bool, unit: Option<(&'static str, f64)>) -> Vec<Sa
             Said::Key("mass_kg".to_owned(), mass.to_string(), "by its column, in kg".to_owned())
         }
         (Some(mass), Some((unit, kg))) => {
-            let why = format!("from {unit}, by its column: weigh it");
+            let why = format!("from {unit}, by its column: weigh it to check");
             open("mass_kg", &short(kg * mass), &why)
         }
         (Some(mass), None) if is_mass => {
             Said::Key("mass_kg".to_owned(), mass.to_string(), "by its column, taken for kg".to_owned())
         }
         (Some(mass), None) => {
-            open("mass_kg", &mass.to_string(), "kg, or a number by which something is called: weigh it")
+            open("mass_kg", &mass.to_string(), "in kg, or only a number in the load's name: weigh it to check")
         }
         (None, _) => match lower.strip_suffix("kg").and_then(number) {
-            Some(mass) => open("mass_kg", &mass.to_string(), "by its name: weigh it"),
+            Some(mass) => open("mass_kg", &mass.to_string(), "by its name: weigh it to check"),
             None if NOTHING.contains(&lower.as_str()) => {
                 let why = format!(
-                    "where {} is nothing, have \"none\" or 0 in its place in the file, and take this [[payload]] out",
+                    "where {} means no load, write \"none\" or 0 in the file instead, and delete this [[payload]]",
                     quoted(name)
                 );
                 open("mass_kg", "0", &why)
@@ -186,7 +186,7 @@ fn table(name: &str, is_mass: bool, unit: Option<(&'static str, f64)>) -> Vec<Sa
     };
     vec![
         mass,
-        open("x_mm", "0", "its centre of mass in the flange frame, which no column says"),
+        open("x_mm", "0", "its centre of mass in the flange frame, which no column gives"),
         open("y_mm", "0", "the same"),
         open("z_mm", "0", "the same"),
     ]

@@ -1,4 +1,4 @@
-//! What the names of an orientation's columns tell of its convention, and what they do not.
+//! What the names of an orientation's columns show about its convention, and what they do not.
 
 use super::column::SeenColumn;
 use super::names::words;
@@ -11,7 +11,7 @@ pub(super) struct Turned {
     pub open: Vec<(&'static str, &'static str, String)>,
 }
 
-/// What can be said of these columns; `None` where they are of no orientation that a map can name.
+/// What can be said about these columns; `None` if they are not an orientation that a map can name.
 pub(super) fn turned(columns: &[&SeenColumn]) -> Option<Turned> {
     let name = |column: &&SeenColumn| words(column.said_name()).last().cloned().unwrap_or_default();
     let names: Vec<String> = columns.iter().map(name).collect();
@@ -34,12 +34,13 @@ pub(super) fn turned(columns: &[&SeenColumn]) -> Option<Turned> {
         ["qw", "qx", "qy", "qz"] | ["w", "x", "y", "z"] => by_name("quaternion", "wxyz"),
         ["qx", "qy", "qz", "qw"] | ["x", "y", "z", "w"] => by_name("quaternion", "xyzw"),
         ["q1", "q2", "q3", "q4"] => {
-            form("quaternion", "order", "wxyz", "ABB's q1 is the scalar; where q4 is it, \"xyzw\"")
+            form("quaternion", "order", "wxyz", "ABB's q1 is the scalar; if q4 is, \"xyzw\"")
         }
-        [_, _, _, _] => form("quaternion", "order", "wxyz", "where the last column is the scalar, \"xyzw\""),
+        [_, _, _, _] => form("quaternion", "order", "wxyz", "if the last column is the scalar, \"xyzw\""),
         ["a", "b", "c"] => open(
             "kuka_abc",
-            "KUKA's A, B, C are about z, the new y and the new x; others name theirs so as well: \"euler\" has a sequence",
+            "KUKA's A, B, C are about z, the new y and the new x; other makers use these names too: then \"euler\" with a \
+             sequence",
         ),
         ["w", "p", "r"] => open("fanuc_wpr", "FANUC's W, P, R are about the fixed x, y and z"),
         ["o", "a", "t"] => open("kawasaki_oat", "Kawasaki's O, A, T are about z, the new y and the new z"),

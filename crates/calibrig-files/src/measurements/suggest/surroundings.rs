@@ -1,4 +1,4 @@
-//! The air and the faces, as names, units and values tell them.
+//! The air and the faces, from names, units and values.
 
 use super::SeenFile;
 use super::column::{Role, SeenColumn};
@@ -18,7 +18,7 @@ pub(super) fn of_air(file: &SeenFile) -> Vec<Said> {
         let header = column.header.to_lowercase();
         let is_fahrenheit = ["°f", "[f]", "(f)", "degf"].iter().any(|unit| header.contains(unit));
         let (unit, why) = if is_fahrenheit {
-            ("f", "; °F, as the header says".to_owned())
+            ("f", "; °F, as the header states".to_owned())
         } else if column.numbers.least > 200.0 {
             ("k", "; K by its size".to_owned())
         } else {
@@ -30,10 +30,10 @@ pub(super) fn of_air(file: &SeenFile) -> Vec<Said> {
         said.push(pressure(column, entry(column)));
     }
     if let Some(column) = file.one(Role::Humidity) {
-        let why = format!("{}; checked, and not used", reason(column));
+        let why = format!("{}; checked, but not used", reason(column));
         said.push(if column.numbers.most <= 1.0 {
             let why = format!(
-                "up to {}: in %, or a fraction, which a map does not read",
+                "up to {}: in %, or a fraction, which a map cannot read",
                 short(column.numbers.most)
             );
             Said::Open("humidity_percent".to_owned(), entry(column), why)
@@ -50,16 +50,16 @@ fn pressure(column: &SeenColumn, entry: String) -> Said {
     let stated = in_header.into_iter().find(|(word, _)| header.contains(word)).map(|(_, unit)| unit);
     let (least, most) = (column.numbers.least, column.numbers.most);
     let within = |from: f64, to: f64| least >= from && most <= to;
-    // 760 can be mm of mercury at the sea, and hPa in the mountains.
+    // 760 can be mm of mercury at sea level, or hPa in the mountains.
     let by_size = [("hpa", 800.0, 1100.0), ("inhg", 25.0, 32.0), ("kpa", 80.0, 110.0), ("pa", 8e4, 1.1e5)];
     let by_size = by_size.into_iter().find(|(_, from, to)| within(*from, *to)).map(|(unit, ..)| unit);
     match (stated, by_size) {
         (Some(unit), _) => {
-            let why = format!("{}; checked, and not used", reason(column));
+            let why = format!("{}; checked, but not used", reason(column));
             Said::Key(format!("pressure_{unit}"), entry, why)
         }
         (None, Some(unit)) => {
-            let why = format!("{}; {unit} by its size; checked, and not used", reason(column));
+            let why = format!("{}; {unit} by its size; checked, but not used", reason(column));
             Said::Key(format!("pressure_{unit}"), entry, why)
         }
         (None, None) => {

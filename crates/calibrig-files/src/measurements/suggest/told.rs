@@ -1,16 +1,16 @@
-//! Units and times that are told from headers, names and sizes.
+//! Units and times from headers, names and sizes.
 
 use super::SeenFile;
 use super::column::{Role, SeenColumn};
 use crate::measurements::units::{AngleUnit, HeaderUnit, LengthUnit, TimeUnit, unit_of_name};
 
-/// What a unit was told from.
+/// What shows a unit.
 pub(super) enum Told<U> {
-    /// The header says so to the reader as well, column by column.
+    /// The header states it to the reader as well, column by column.
     Header(String),
     /// With the reason.
     Seen(U, String),
-    /// With what speaks for what.
+    /// With the evidence for each.
     Open(String),
 }
 
@@ -34,7 +34,7 @@ pub(super) fn time_of(file: &SeenFile) -> Option<(String, String, String)> {
         && TimeUnit::at_the_end_of(&parts.header) == Some(TimeUnit::Ns)
     {
         let value = format!("[{}, {}]", entry(seconds), entry(parts));
-        return Some(("time_s".to_owned(), value, "seconds, and nanoseconds beside them".to_owned()));
+        return Some(("time_s".to_owned(), value, "seconds, with nanoseconds in another column".to_owned()));
     }
     if let Some(clock) = moment.or(clock) {
         return Some((
@@ -61,7 +61,7 @@ pub(super) fn time_of(file: &SeenFile) -> Option<(String, String, String)> {
     Some((format!("time_{}", unit.key()), entry(column), format!("{}; {why}", column.reason)))
 }
 
-/// Whether a joint's column holds lengths: by its unit, its name, or numbers that no axis turns to while the others are angles.
+/// Whether a joint's column holds lengths: by its unit, its name, or numbers beyond any angle while the others are angles.
 pub(super) fn is_prismatic(column: &SeenColumn, all: &[&SeenColumn]) -> bool {
     match unit(column) {
         Some(HeaderUnit::Length(_)) => return true,
@@ -90,11 +90,11 @@ pub(super) fn stroke_unit(columns: &[&SeenColumn]) -> Told<LengthUnit> {
         ));
     }
     if SeenFile::numbers_of(columns).largest() > 100.0 {
-        let why = format!("{} slides, by its name, and goes to {size}: no rail has so many m", first.header);
+        let why = format!("{} slides, by its name, and goes to {size}: no rail is that many m long", first.header);
         return Told::Seen(LengthUnit::Mm, why);
     }
     Told::Open(format!(
-        "{} slides, by its name, and goes to {size}: m, or mm that hardly moved",
+        "{} slides, by its name, and goes to {size}: m, or mm with hardly any motion",
         first.header
     ))
 }
@@ -184,11 +184,11 @@ pub(super) fn angle_unit(columns: &[&SeenColumn], what: &str) -> Told<AngleUnit>
     }
     if size > 720.0 {
         return Told::Open(format!(
-            "column {number}: {extreme} {value}, more than two turns in degrees: no angle, or another unit"
+            "column {number}: {extreme} {value}, more than two turns in degrees: not an angle, or another unit"
         ));
     }
     Told::Open(format!(
-        "column {number}: {extreme} {value}: {what} in radians, or in degrees that hardly moved"
+        "column {number}: {extreme} {value}: {what} in radians, or in degrees with hardly any motion"
     ))
 }
 
@@ -215,7 +215,7 @@ pub(super) fn length_unit(
     if largest > 0.2 && largest <= 30.0 {
         return Told::Seen(
             LengthUnit::M,
-            format!("up to {}, looks like m: as mm the points would be within a hand", short(largest)),
+            format!("up to {}, looks like m: in mm, all points would be within a hand's width", short(largest)),
         );
     }
     Told::Open(format!("up to {}: m, mm and inch are all possible", short(largest)))

@@ -1,4 +1,4 @@
-//! Of several places in one row, the one that the tracker saw; a controller writes its own beside its orientation.
+//! Among several places in one row, the one that the tracker saw; a controller writes its own next to its orientation.
 
 use super::column::{Role, SeenColumn};
 use super::names::{beside_axis, words};
@@ -71,7 +71,7 @@ struct Triple {
     family: Vec<String>,
 }
 
-/// Keeps of all columns named as x, y and z three that belong together, with the reason, or with what makes them doubtful.
+/// Keeps, of all columns named x, y and z, three that belong together, with the reason or the doubt.
 pub(super) fn choose(columns: &mut [SeenColumn]) {
     let turns = turns(columns);
     for turn in &turns {
@@ -98,13 +98,14 @@ pub(super) fn choose(columns: &mut [SeenColumn]) {
     let doubt = if of_best.len() > 1 {
         let all: Vec<_> = of_best.iter().map(|index| numbers(&triples[*index])).collect();
         Some(format!(
-            "columns {} can each be the position: which is it that the tracker saw?",
+            "columns {} could each be the position: which of them did the tracker see?",
             all.join(" and ")
         ))
     } else if best == 0 {
         let why = ranked[chosen].1.clone().unwrap_or_default();
         Some(format!(
-            "{why}, as where a controller computes its own tool to be, which is no measurement: did the tracker see this?"
+            "{why}, as a controller reports its own computed tool position, which is not a measurement: did the tracker see \
+             this?"
         ))
     } else {
         None
@@ -117,12 +118,12 @@ pub(super) fn choose(columns: &mut [SeenColumn]) {
         .collect();
     let keeps = !(best == 0 && is_spherical);
     if let Some(turn) = turn_of(&triples[chosen], &triples, &turns).filter(|_| keeps) {
-        // What a person must decide first is whether the tracker saw this at all.
+        // A person must first decide whether the tracker saw this at all.
         let is_seen = doubt.is_none();
         for (order, column) in columns[turn.from..turn.to].iter_mut().enumerate() {
             (column.is_beside, column.order) = (true, order);
             if is_seen {
-                let called = format!("called {:?}, beside the position", column.header);
+                let called = format!("called {:?}, next to the position", column.header);
                 column.take(Role::Turn, order, called);
             }
         }
@@ -140,7 +141,7 @@ pub(super) fn choose(columns: &mut [SeenColumn]) {
             column.reason = format!("{}{named}", column.reason);
             if column.role == Some(Role::X) && !others.is_empty() {
                 column.reason =
-                    format!("{}; {}, as the controller's own do", column.reason, others.join(", "));
+                    format!("{}; {}, as a controller's own columns do", column.reason, others.join(", "));
             }
         }
         column.doubt.clone_from(&doubt);
@@ -166,11 +167,11 @@ fn rank(columns: &[SeenColumn], triple: &Triple, all: &[Triple], turns: &[Turn])
     (1, None)
 }
 
-/// The orientation that stands beside a place.
+/// The orientation next to a place.
 fn turn_of<'t>(triple: &Triple, all: &[Triple], turns: &'t [Turn]) -> Option<&'t Turn> {
     let touches = |triple: &Triple, turn: &Turn| turn.from == triple.columns[2] + 1;
     turns.iter().find(|turn| touches(triple, turn)).or_else(|| {
-        // One that stands elsewhere is that of the place with the same name, or of the only one.
+        // An orientation elsewhere belongs to the place of the same name, or to the only one.
         turns
             .iter()
             .filter(|turn| !all.iter().any(|triple| touches(triple, turn)))

@@ -1,10 +1,10 @@
-//! How many characters each column of a text has, where numbers stand with nothing between them.
+//! How many characters each column of a text has, if numbers have nothing between them.
 
 use std::path::Path;
 
-/// Lines that are looked at.
+/// Lines that are analysed.
 const MOST_LINES: usize = 5000;
-/// A longer file is not looked at.
+/// A longer file is not analysed.
 const MOST_BYTES: u64 = 1 << 26;
 
 /// A piece of a line, in characters from its begin.
@@ -28,7 +28,7 @@ fn of_text(text: &str) -> Option<Vec<usize>> {
     let lines: Vec<Vec<Piece>> = text.lines().filter(is_row).take(MOST_LINES).map(pieces).collect();
     let fractions = |line: &Vec<Piece>| line.iter().filter(|piece| piece.has_fraction).count();
     let most = lines.iter().map(fractions).max().filter(|most| *most > 0)?;
-    // Where nothing at all stands between two numbers, not even a sign, a line has fewer: its cut follows from the others.
+    // If nothing at all is between two numbers, not even a sign, a line has fewer: its cut follows from the others.
     let whole: Vec<&Vec<Piece>> = lines.iter().filter(|line| fractions(line) == most).collect();
     let count = whole.first()?.len();
     if whole.len() < 2 || whole.iter().any(|line| line.len() != count) {
@@ -70,7 +70,7 @@ fn pieces(line: &str) -> Vec<Piece> {
     pieces
 }
 
-/// Whether a sign stands here behind a digit or a letter, and in front of a number with a fraction.
+/// Whether a sign here comes after a digit or a letter, and in front of a number with a fraction.
 fn begins_number(letters: &[char], at: usize) -> bool {
     let is_exponent = at > 1 && matches!(letters[at - 1], 'e' | 'E') && letters[at - 2].is_ascii_digit();
     let behind = &letters[at + 1..];

@@ -66,7 +66,7 @@ pub(super) fn map_of(files: &[SeenFile]) -> SuggestedMap {
 
 impl Writer<'_> {
     fn line(&mut self, line: &str) {
-        // Names of columns stand in comments as they are, and TOML has no other characters there.
+        // Names of columns appear in comments as they are, and TOML forbids other characters there.
         self.text.extend(line.chars().map(|c| if c.is_control() { char::REPLACEMENT_CHARACTER } else { c }));
         self.text.push('\n');
     }
@@ -142,7 +142,8 @@ impl Writer<'_> {
             self.undecided(
                 "columns",
                 "[\"J1\", \"J2\"]",
-                "no column looks like a joint's: name them in the robot's order; where the commands are in a file of their own, suggest a map for both together",
+                "no column looks like a joint's: name the joints' columns in the robot's order; if the commands are in \
+                 another file, suggest a map for both together",
             );
             return;
         }
@@ -152,7 +153,7 @@ impl Writer<'_> {
             |column: &&SeenColumn| column.joint.as_ref().is_some_and(|joint| joint.order.is_some());
         if self.joints.is_bag && !columns.iter().all(has_order) {
             let why =
-                "every joint that the bag has, in its order: put those of the robot into the robot's order";
+                "every joint in the bag, in the bag's order: put the robot's joints into the robot's order";
             self.undecided("columns", &entries, why);
         } else {
             self.key("columns", &entries, &reasons(&columns));
@@ -166,7 +167,7 @@ impl Writer<'_> {
         let (lengths, angles): (Vec<&SeenColumn>, Vec<&SeenColumn>) =
             columns.iter().copied().partition(|column| is_prismatic(column, &columns));
         if angles.is_empty() {
-            self.line("# revolute_unit = \"deg\"            # where the robot has a revolute joint");
+            self.line("# revolute_unit = \"deg\"            # if the robot has a revolute joint");
         } else {
             match angle_unit(&angles, "joints") {
                 Told::Header(unit) => self.line(&format!("# revolute_unit: {unit}, as the header says")),
@@ -175,7 +176,7 @@ impl Writer<'_> {
             }
         }
         if lengths.is_empty() {
-            self.line("# prismatic_unit = \"mm\"            # where the robot has a prismatic joint");
+            self.line("# prismatic_unit = \"mm\"            # if the robot has a prismatic joint");
             return;
         }
         match stroke_unit(&lengths) {
@@ -185,11 +186,11 @@ impl Writer<'_> {
         }
     }
 
-    /// What is to be said of the order of the joints' columns.
+    /// Remark on the order of the joints' columns.
     fn order_of(&mut self, columns: &[&SeenColumn]) {
         let names = || columns.iter().filter_map(|column| column.joint.as_ref());
         if names().any(|joint| joint.has_own_name && joint.order.is_none() && !joint.is_external) {
-            self.line("# In the order of the file: put them into the robot's order, from the base.");
+            self.line("# In the order of the file: put them into the robot's order, starting at the base.");
         } else if names().any(|joint| joint.has_own_name && !joint.is_external) {
             self.line("# From base to wrist by their names, whatever the order in the file: compare with the robot's.");
         }
@@ -200,7 +201,8 @@ impl Writer<'_> {
             .collect();
         if !external.is_empty() && external.len() < columns.len() {
             self.line(&format!(
-                "# {}: beside the arm by the name; put it where the robot's file has it (a rail in front of the first axis), or leave it out.",
+                "# {}: not part of the arm, by the name; put it where the robot's file has it (a rail in front of the first \
+                 axis), or leave it out.",
                 external.join(", ")
             ));
         }
@@ -246,7 +248,7 @@ impl Writer<'_> {
         self.undecided("x", "\"X\"", "no three columns look like a position: name x, y and z");
     }
 
-    /// The unit of lengths; units in comments of the file speak too.
+    /// The unit of lengths; units in comments of the file count as well.
     fn length(&mut self, key: &str, columns: &[&SeenColumn]) {
         if self.points.is_bag {
             self.key(key, "\"m\"", BAG);
@@ -283,12 +285,13 @@ impl Writer<'_> {
             self.key(
                 "missed",
                 &format!("[{}]", marks.join(", ")),
-                "no coordinates, by their looks: marks of missed shots",
+                "not plausible as coordinates: marks of missed shots",
             );
         }
     }
 
-    /// The rotation beside the position. Its conventions cannot be seen; where it is not wanted, its lines can go.
+    /// The rotation next to the position. Its conventions cannot be seen; if it is not wanted, its lines can be
+    /// deleted.
     fn rotation(&mut self) {
         let columns = self.points.turn();
         let Some(turned) = turned(&columns) else { return };
@@ -301,7 +304,7 @@ impl Writer<'_> {
         keys.push(("columns", format!("[{}]", entries.join(", ")), reasons(&columns)));
         let mut open: Vec<(&str, String, String)> =
             open.into_iter().map(|(key, value, why)| (key, quoted(value), why)).collect();
-        let why = "what position and rotation are of: of the target, in the tracker's frame; or \"tracker_in_target\"";
+        let why = "which frame is given in which: the target in the tracker's frame; or \"tracker_in_target\"";
         open.insert(0, ("transform", "\"target_in_tracker\"".to_owned(), why.to_owned()));
         if columns.len() == 3 {
             match angle_unit(&columns, "angles") {
@@ -311,7 +314,7 @@ impl Writer<'_> {
             }
         }
         if is_seen {
-            self.line("# Where the rotation is not wanted, leave out [rotation]: then the rows are points.");
+            self.line("# If the rotation is not wanted, delete [rotation]: the rows are then points.");
             self.line("[rotation]");
             for (key, value, why) in open {
                 self.undecided(key, &value, &why);
@@ -321,7 +324,8 @@ impl Writer<'_> {
             }
             return;
         }
-        self.line("# Where the tracker saw this as full poses (a probe, motion capture), decide and take the # away; else leave it so.");
+        self.line("# If the tracker measured full poses (a probe, motion capture), decide the values and remove the #; \
+                   otherwise leave it so.");
         self.line("# [rotation]");
         for (key, value, why) in open {
             self.line(&format!("# {key} = {value:<17} # to decide: {why}"));
@@ -337,7 +341,8 @@ impl Writer<'_> {
         self.line("");
         if self.points.one(Role::Range).is_none() {
             self.line(&format!(
-                "# {}: faces are of range and angles; both of a pose count as one with repeats = \"average\" in [rows].",
+                "# {}: faces apply to range and angles; both faces of a pose are averaged with repeats = \"average\" in \
+                 [rows].",
                 column.header
             ));
             return;
@@ -346,7 +351,7 @@ impl Writer<'_> {
         let words = surroundings::faces(&texts);
         if words.is_none() && texts.len() != 2 {
             self.line(&format!(
-                "# {} holds {} different texts, and there are two faces: see [face] in docs/formats.md.",
+                "# {} holds {} different texts, but there are two faces: see [face] in docs/formats.md.",
                 column.header,
                 texts.len()
             ));
@@ -359,7 +364,7 @@ impl Writer<'_> {
             self.key(
                 "back",
                 &format!("[{}]", quoted(back)),
-                "angles of the encoders' own are found from the values",
+                "whether angles are the encoders' own is found from the values",
             );
         } else {
             let why =
@@ -390,7 +395,7 @@ impl Writer<'_> {
                 );
             }
             _ => {
-                self.undecided("unit", "\"um\"", &format!("up to {}, and no unit is stated", x.numbers.most));
+                self.undecided("unit", "\"um\"", &format!("up to {}, with no unit stated", x.numbers.most));
             }
         }
         for (key, column) in [("x", x), ("y", y), ("z", z)] {
@@ -398,7 +403,7 @@ impl Writer<'_> {
         }
         if is_expanded {
             // Without a factor it would count as a standard deviation: none of it is used before that is decided.
-            let why = "U is an expanded uncertainty: k = 2 where it is U(95), 1 where it is a standard deviation; then take the # away";
+            let why = "U is an expanded uncertainty: k = 2 for U(95), 1 for a standard deviation; then remove the #";
             self.undecided("k", "2", why);
             let section = self.text.split_off(before);
             for line in section.lines() {
@@ -416,7 +421,7 @@ impl Writer<'_> {
             self.key("pose", &column.entry(file.has_header), &reason(column));
         }
         if let Some(column) = file.one(Role::Name) {
-            let why = "names every row, so it is no target; `pose` where rows of one pose have one name";
+            let why = "different in every row, so not a target; use it as `pose` if rows of one pose share a name";
             let line = format!("# pose = {}", column.entry(file.has_header));
             self.line(&format!("{line:<33} # {}, {why}", reason(column)));
         }
@@ -428,7 +433,7 @@ impl Writer<'_> {
                 && (column.many_texts || column.texts().len() as u64 == file.rows)
             {
                 self.line(&format!(
-                    "# {key} = {entry}: another one in every row, so it is no reflector's name"
+                    "# {key} = {entry}: different in every row, so not a reflector's name"
                 ));
                 continue;
             }
@@ -446,7 +451,7 @@ impl Writer<'_> {
         let in_points = file.columns.iter().any(SeenColumn::is_of_payload);
         let carried = payload::of_file(if in_joints && !in_points { self.joints } else { file });
         self.say(carried.keys);
-        for column in file.unused().filter(|column| column.reason.contains("no time")) {
+        for column in file.unused().filter(|column| column.reason.contains("not a time")) {
             self.line(&format!("# {}: {}", column.header, column.reason));
         }
         let unused: Vec<_> = file.unused().map(|column| column.header.clone()).collect();
@@ -490,7 +495,7 @@ impl Writer<'_> {
             let (a, b) = (&joints.columns[a], &points.columns[b]);
             let common = shared(a, b);
             if common > 1 {
-                self.key("by", "\"name\"", &format!("{common} names or more are in both files"));
+                self.key("by", "\"name\"", &format!("at least {common} names are in both files"));
                 self.key("joints", &entry(joints, a), &reason(a));
                 self.key("points", &entry(points, b), &reason(b));
                 return;
@@ -508,11 +513,11 @@ impl Writer<'_> {
             );
             self.key("joints", &a, "");
             self.key("points", &b, "");
-            self.undecided("within_s", "0.05", "how far apart two times of one pose may be");
+            self.undecided("within_s", "0.05", "how far apart the two times of one pose may be");
             return;
         }
         let why = format!(
-            "{} rows of joints and {} of points, and no column that both have",
+            "{} rows of joints and {} of points, with no column in common",
             joints.rows, points.rows
         );
         self.undecided("by", "\"row\"", &why);
@@ -536,11 +541,11 @@ impl Writer<'_> {
         if let Some(cell) = glued {
             let same = self.joints.widths == self.points.widths;
             if let Some(widths) = self.points.widths.as_ref().filter(|_| same) {
-                let why = format!("{cell} is several numbers; they end at the same places in every line");
+                let why = format!("{cell} holds several numbers, which end at the same places in every line");
                 self.key("widths", &format!("{widths:?}"), &why);
             } else {
                 let why = format!(
-                    "{cell} looks like numbers with nothing between them: say how many characters each column has"
+                    "{cell} looks like numbers with nothing between them: give the number of characters of each column"
                 );
                 self.undecided("widths", "[8, 12, 12]", &why);
             }

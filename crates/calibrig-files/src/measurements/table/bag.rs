@@ -19,29 +19,29 @@ use super::{Table, TableRow, counted, number_text};
 use crate::input::InputError;
 use crate::measurements::rows::Place;
 
-/// How far the stamps of a point and of its joints may lie apart where nobody says, s: a robot at rest for a tenth of a second is enough, and
-/// states come ten times as often.
+/// Default for the time between a point and its joints, s: a tenth of a second at rest is enough for a robot, and states come ten times as
+/// often.
 pub const DEFAULT_TOLERANCE_S: f64 = 0.05;
 
 /// Columns of orientations, as ROS orders a quaternion.
 const TURN: [&str; 4] = ["qx", "qy", "qz", "qw"];
 
-/// Dropped points that are told one by one.
+/// Dropped points that are reported one by one.
 const TOLD: usize = 5;
 
-/// What of a bag is read.
+/// What is read of a bag.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BagOptions {
-    /// Topic of `sensor_msgs/JointState`; the only one where it is not stated.
+    /// Topic of `sensor_msgs/JointState`; the only one if not stated.
     pub joints: Option<String>,
-    /// Topics of `PointStamped`, `PoseStamped`, `PoseWithCovarianceStamped`, `TransformStamped` or `Odometry`; the only one where none is stated. Of several,
-    /// each is a target of its topic's name.
+    /// Topics of `PointStamped`, `PoseStamped`, `PoseWithCovarianceStamped`, `TransformStamped` or `Odometry`; the only one if none is stated. Each
+    /// of several is a target with its topic's name.
     pub points: Vec<String>,
-    /// How far the stamps of a point and of its joints may lie apart, s.
+    /// Largest time between a point and its joints, s.
     pub tolerance_s: f64,
-    /// Names of the joints that a row must have; where none are stated, all that the bag has.
+    /// Names of the joints that a row must have; if none are stated, all in the bag.
     pub names: Vec<String>,
-    /// Where none are stated: of the joints that the bag has, those that are enough, if it has any of them.
+    /// If none are stated: those of the bag's joints that are sufficient, if any.
     pub enough: Vec<String>,
 }
 
@@ -57,15 +57,15 @@ impl Default for BagOptions {
     }
 }
 
-/// Reads the bag at `path`: a row a point, with the joints' state nearest in time.
+/// Reads the bag at `path`: one row per point, with the joint state nearest in time.
 ///
-/// Columns are `time_s` (since the first point), one a joint by its name (rad or m, as ROS has it), `x`, `y`, `z` (m), of poses `qx`, `qy`, `qz`, `qw` (how
-/// the target is turned in the frame of the points), and where there are several `target` (topic, or child frame of a transform) and `station` (frame of
-/// the points). Stamps are those of the messages' headers; where no message of a topic has one,
-/// the times of the file, which is told. A point without a state of every joint within the tolerance is dropped, and told; so is a robot that moves.
+/// Columns are `time_s` (since the first point), one per joint by its name (rad or m, as in ROS), `x`, `y`, `z` (m), for poses `qx`, `qy`, `qz`, `qw`
+/// (the target's orientation in the frame of the points), and if there are several `target` (topic, or child frame of a transform) and `station`
+/// (frame of the points). Stamps are those of the messages' headers; if no message of a topic has one, the times of the file, which is reported. A
+/// point without a state of every joint within the tolerance is dropped and reported; a robot that moves is reported as well.
 ///
 /// # Errors
-/// The file cannot be read or is damaged; the topics are not there, or not to be told apart; a message is not what its topic says.
+/// Errors if the file cannot be read or is damaged, if topics are missing or ambiguous, or if a message does not match its topic.
 pub fn read_bag(path: &Path, options: &BagOptions) -> Result<Table, InputError> {
     let name = path.display().to_string();
     let file = File::open(path)
@@ -114,7 +114,7 @@ impl Measured {
     }
 }
 
-/// What is to be said of the messages.
+/// Remarks on the messages.
 #[derive(Debug, Default)]
 struct Notes {
     /// Topics without stamps, whose messages have the times of the file.
@@ -153,14 +153,14 @@ impl Bag<'_> {
         match trouble {
             Trouble::Container(why) => self.refuse(
                 format!("the bag cannot be read: {why}"),
-                "a whole MCAP file; `calibrig recover` saves what is sound of a damaged or unfinished one"
+                "a whole MCAP file; `calibrig recover` saves the sound parts of a damaged or unfinished one"
                     .to_owned(),
             ),
             Trouble::Stopped(why) => self.refuse(why, "messages as their schemas describe them".to_owned()),
         }
     }
 
-    /// The points of the chosen topics, as far as they are numbers.
+    /// The points of the chosen topics that are finite.
     fn points(
         &self,
         file: &mut (impl Read + Seek),
@@ -206,7 +206,7 @@ impl Bag<'_> {
                 topic,
                 number: *number,
                 position,
-                // Four zeros are what a message has whose orientation nobody filled in.
+                // Four zeros mean that the orientation was not filled in.
                 turn: turn.filter(|turn| turn.iter().all(|part| part.is_finite()) && *turn != [0.0; 4]),
             });
             Ok(())
@@ -275,7 +275,7 @@ impl Bag<'_> {
                 Some(states.span.map_or((stamp, stamp), |(first, last)| (first.min(stamp), last.max(stamp))));
             let next = stamps.partition_point(|point| *point < stamp.saturating_sub(tolerance));
             let is_near = stamps.get(next).is_some_and(|point| *point <= stamp.saturating_add(tolerance));
-            // Of the others, those next to a point on either side are kept for what is said of it.
+            // Of the other states, those next to a point on either side are kept for messages.
             if !is_near && !states.is_first(stamp) {
                 return Ok(());
             }
@@ -283,7 +283,7 @@ impl Bag<'_> {
             if state.names.len() != state.positions.len() {
                 let (names, positions) = (state.names.len(), state.positions.len());
                 return Err(format!(
-                    "{topic}, message {number}: {names} names of joints, and {positions} positions"
+                    "{topic}, message {number}: {names} names of joints, but {positions} positions"
                 ));
             }
             for (i, name) in state.names.iter().enumerate() {
@@ -314,10 +314,10 @@ impl Bag<'_> {
             .collect();
         if !missing.is_empty() {
             let known = states.order.join(", ");
-            return Err(self.refuse(format!("the bag has no joint called {}", missing.join(", ")),
+            return Err(self.refuse(format!("the bag has no joint named {}", missing.join(", ")),
                 format!(
-                    "the robot's joints by their names in the bag, {known}: call the joints of the robot's file so, or name these in a column map, \
-                     columns of [joints] in the robot's order"
+                    "the robot's joints by their names in the bag, {known}: rename the joints in the robot's file, or list \
+                     these names in a column map, under columns of [joints] in the robot's order"
                 ),
             ));
         }
@@ -413,7 +413,7 @@ impl Bag<'_> {
         );
         self.refuse(
             message,
-            "stamps of one clock, and a tolerance that reaches from point to state (--bag-tolerance-ms)"
+            "stamps of one clock, and a tolerance that covers the time between point and state (--bag-tolerance-ms)"
                 .to_owned(),
         )
     }
@@ -443,7 +443,7 @@ impl Bag<'_> {
             match notes.unstamped.as_slice() {
                 [] => "the stamps of their headers".to_owned(),
                 without => format!(
-                    "the stamps of their headers, where there are none (on {}) by the times of the file",
+                    "the stamps of their headers and, where they have none (on {}), by the times of the file",
                     without.join(", ")
                 ),
             },
@@ -452,25 +452,25 @@ impl Bag<'_> {
         match notes.turns {
             Turns::None => {}
             Turns::Some => remarks.push(format!(
-                "{name}: not all of the points have an orientation: the positions are read, the orientations are not"
+                "{name}: some points have no orientation: the positions are read, the orientations are not"
             )),
             Turns::All => remarks.push(format!(
-                "{name}: orientations are in the columns {}; they are read where [rotation] of a column map names them (form = \"quaternion\", \
-                 order = \"xyzw\", transform = \"target_in_tracker\"), and else the positions alone",
+                "{name}: orientations are in the columns {}; they are read if [rotation] of a column map names them (form = \
+                 \"quaternion\", order = \"xyzw\", transform = \"target_in_tracker\"), otherwise only the positions",
                 TURN.join(", ")
             )),
         }
         if has_targets {
-            remarks.push(format!("{name}: each topic or child frame is a target of its own"));
+            remarks.push(format!("{name}: each topic or child frame is a separate target"));
         }
         if let Some(frames) = frames {
             let names: Vec<&str> = frames.iter().map(|frame| &***frame).collect();
             remarks.push(format!(
-                "{name}: points are given in the frames {}: each is a station of its own",
+                "{name}: points are given in the frames {}: each is a separate station",
                 names.join(", ")
             ));
         }
-        remarks.extend(self.told("dropped, no numbers", "point", &notes.not_finite));
+        remarks.extend(self.told("dropped, coordinates not finite", "point", &notes.not_finite));
         remarks
     }
 }

@@ -2,17 +2,17 @@
 
 use thiserror::Error;
 
-/// Bytes that are not the message that they should be.
+/// Why bytes are not the expected message.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub(super) enum CdrError {
     /// Another encoding.
-    #[error("its encoding is {0:#04x}, {name}; plain CDR (0x00 or 0x01) is read", name = encoding_name(*.0))]
+    #[error("its encoding is {0:#04x}, {name}; expected plain CDR (0x00 or 0x01)", name = encoding_name(*.0))]
     Encoding(u8),
-    /// It is shorter than what it should hold.
+    /// It is shorter than its content.
     #[error("it ends after {bytes} bytes, in {what}")]
     Short { what: &'static str, bytes: usize },
-    /// Bytes that should be a text and are not UTF-8.
-    #[error("{what} is no text")]
+    /// Bytes that should be text but are not UTF-8.
+    #[error("{what} is not text")]
     NoText { what: &'static str },
 }
 
@@ -21,7 +21,7 @@ fn encoding_name(kind: u8) -> &'static str {
         2 | 3 => "a parameter list",
         6 | 7 => "CDR of version 2",
         8..=11 => "CDR of version 2 with lengths",
-        _ => "not known",
+        _ => "unknown",
     }
 }
 
@@ -65,7 +65,7 @@ impl<'a> Cdr<'a> {
         Ok(f64::from_le_bytes(self.number(what)?))
     }
 
-    /// Length of a sequence whose elements take `least` bytes or more: not longer than the message can hold.
+    /// Length of a sequence whose elements take at least `least` bytes: at most what the message can hold.
     fn length(&mut self, what: &'static str, least: usize) -> Result<usize, CdrError> {
         let length = self.u32(what)? as usize;
         let room = (self.bytes.len() - self.at.min(self.bytes.len())) / least;
@@ -141,7 +141,7 @@ pub(super) struct Point<'a> {
     pub child: Option<&'a str>,
     /// m
     pub position: [f64; 3],
-    /// Quaternion x, y, z, w of how it is turned in the header's frame; `None` of a bare point.
+    /// Quaternion x, y, z, w of its orientation in the header's frame; `None` for a bare point.
     pub turn: Option<[f64; 4]>,
 }
 

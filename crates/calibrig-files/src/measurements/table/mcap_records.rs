@@ -27,14 +27,14 @@ pub(super) struct Channel {
 pub(super) enum Trouble {
     /// The container, in words.
     Container(String),
-    /// What was made of a message, in words; the reading stops.
+    /// Remark on a message; the reading stops.
     Stopped(String),
 }
 
-/// Is given the number of every channel that has a message, the channel, the time of the message in its file (ns), and the message.
+/// Receives the number of every channel with a message, the channel, the time of the message in its file (ns), and the message.
 pub(super) type Visitor<'a> = dyn FnMut(u16, &Channel, u64, &[u8]) -> Result<(), String> + 'a;
 
-/// Goes through all messages in the order of the file. Every checksum that is there is looked at.
+/// Goes through all messages in the order of the file. Every checksum present is checked.
 pub(super) fn messages(file: &mut (impl Read + Seek), visit: &mut Visitor<'_>) -> Result<(), Trouble> {
     file.seek(SeekFrom::Start(0)).map_err(|error| Trouble::Container(error.to_string()))?;
     let options = LinearReaderOptions::default()
@@ -69,7 +69,8 @@ fn container(error: McapError) -> Trouble {
         McapError::UnexpectedEof => "it breaks off".to_owned(),
         McapError::UnsupportedCompression(name) => {
             format!(
-                "its messages are compressed with {name:?}, which is not read: write it again with zstd, lz4 or no compression"
+                "its messages are compressed with {name:?}, which is not supported: write it again with zstd, lz4 or no \
+                 compression"
             )
         }
         error => format!("it is damaged: {error}"),

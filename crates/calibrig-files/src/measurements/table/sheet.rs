@@ -15,7 +15,7 @@ use super::{Table, TableRow, counted, number_text};
 use crate::input::InputError;
 use crate::measurements::rows::Place;
 
-/// Cells that a table may take, empty ones between others counted: fewer than memory holds, more than any session has.
+/// Most cells of a table, including empty ones between others: within memory, and more than any session has.
 const MOST_CELLS: usize = 20_000_000;
 /// Bytes that the texts of all cells may take together: one text may stand in a million cells.
 const MOST_TEXT: usize = 1 << 29;
@@ -24,14 +24,14 @@ const LONGEST_CELL: usize = 32_767;
 const LAST_ROW: u32 = 1_048_576;
 const LAST_COLUMN: u32 = 16_384;
 
-/// Reads a sheet of the XLSX file at `path`: the one called `sheet`, else the first that is shown, which is told where there are others.
+/// Reads a sheet of the XLSX file at `path`: the one named `sheet`, else the first visible one, with a remark if there are others.
 ///
-/// Numbers are those of the file, to the bit. Dates, truth values and errors are texts, so that a column that must hold numbers refuses them at their cell;
-/// they are told. A formula counts with the value that the file holds of it. Of merged cells the first has the text, and so have those below it in the same
-/// column.
+/// Numbers are those of the file, to the bit. Dates, truth values and errors become texts, so that a column of numbers refuses them at their cell;
+/// they are reported. A formula has the value that the file stores for it. In merged cells the first has the text, and so do those below it in the
+/// same column.
 ///
 /// # Errors
-/// The file cannot be read, is no XLSX file, or has no such sheet.
+/// Errors if the file cannot be read, is not an XLSX file, or has no such sheet.
 pub fn read_sheet(path: &Path, sheet: Option<&str>) -> Result<Table, InputError> {
     let file = File::open(path).map_err(|error| unreadable(path, error.to_string()))?;
     let name = path.display().to_string();
@@ -62,7 +62,7 @@ fn words(error: &XlsxError) -> String {
         XlsxError::Password => "the spreadsheet is protected by a password: save it without".to_owned(),
         XlsxError::Zip(_) | XlsxError::FileNotFound(_) => {
             format!(
-                "it is no XLSX file that can be read, or is damaged ({error}): save it again as XLSX, or its sheet as CSV"
+                "it is not a readable XLSX file, or is damaged ({error}): save it again as XLSX, or its sheet as CSV"
             )
         }
         error => format!("the spreadsheet is damaged ({error}): save it again as XLSX, or its sheet as CSV"),
@@ -75,8 +75,8 @@ fn sheet_of<R: Read + Seek>(mut file: R, name: &str, wanted: Option<&str>) -> Re
     };
     if let Some(TooLarge { part, most }) = too_large(&mut file) {
         return Err(refuse(
-            format!("its part {part} unpacks to more than {} MiB, which no table of measurements does", most >> 20),
-            "expected a spreadsheet with the measurements alone: copy their sheet into a new file, or save it as CSV".to_owned(),
+            format!("its part {part} unpacks to more than {} MiB, too much for a table of measurements", most >> 20),
+            "expected a spreadsheet with only the measurements: copy their sheet into a new file, or save it as CSV".to_owned(),
         ));
     }
     let mut book = Xlsx::new(file)?;
@@ -90,7 +90,7 @@ fn sheet_of<R: Read + Seek>(mut file: R, name: &str, wanted: Option<&str>) -> Re
         None => {
             let shown = sheets.iter().position(|sheet| sheet.visible == SheetVisible::Visible);
             shown.or(if names.is_empty() { None } else { Some(0) }).ok_or_else(|| {
-                refuse("there is no sheet with cells".to_owned(), "expected a sheet with a table".to_owned())
+                refuse("every sheet is empty".to_owned(), "expected a sheet with a table".to_owned())
             })?
         }
     };
@@ -112,20 +112,20 @@ fn sheet_of<R: Read + Seek>(mut file: R, name: &str, wanted: Option<&str>) -> Re
                 u64::from(cell.pos.0) + 1,
                 u64::from(cell.pos.1) + 1
             );
-            let message = "no sheet has so many rows and columns".to_owned();
+            let message = "no sheet can have so many rows and columns".to_owned();
             let help = Some("save it again as XLSX, or the sheet as CSV".to_owned());
             return Err(Trouble::Input(InputError::Place { place, message, help }));
         }
         cells.take(cell.pos, &cell.value, cell.formula.is_some()).map_err(|why| {
             let place = format!("{name}, sheet {sheet}, cell {}", cell_name(cell.pos));
-            let help = Some("expected a sheet with the measurements alone: copy them into a new file, or save the sheet as CSV".to_owned());
+            let help = Some("expected a sheet with only the measurements: copy them into a new file, or save the sheet as CSV".to_owned());
             Trouble::Input(InputError::Place { place, message: why.to_owned(), help })
         })?;
     }
     let too_large = || {
         refuse(
             format!("sheet {sheet} is too large"),
-            format!("expected at most {MOST_CELLS} cells between the first and the last that hold something"),
+            format!("expected at most {MOST_CELLS} cells between the first and the last filled one"),
         )
     };
     cells.fill_down(&merged).ok_or_else(too_large)?;
@@ -144,7 +144,7 @@ struct Cells {
     bytes: usize,
 }
 
-/// What is no number and no text.
+/// Cells that are neither numbers nor text.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Odd {
     Date,
@@ -156,8 +156,8 @@ enum Odd {
 impl Odd {
     fn words(self) -> &'static str {
         match self {
-            Self::Date => "a date or a time, and no number",
-            Self::Truth => "a truth value, and no number",
+            Self::Date => "a date or a time, not a number",
+            Self::Truth => "a truth value, not a number",
             Self::Error => "an error",
             Self::NoValue => {
                 "a formula without its value: open the file in a spreadsheet program and save it there"
@@ -177,12 +177,12 @@ impl Cells {
         if let DataRef::String(text) = value
             && text.len() > 4 * LONGEST_CELL
         {
-            return Err("a text of more than 32767 characters, which no cell has");
+            return Err("a text of more than 32767 characters, the limit of a cell");
         }
         if let DataRef::SharedString(text) = value
             && text.len() > 4 * LONGEST_CELL
         {
-            return Err("a text of more than 32767 characters, which no cell has");
+            return Err("a text of more than 32767 characters, the limit of a cell");
         }
         let (text, odd) = match value {
             DataRef::Int(number) => (number.to_string(), None),
@@ -218,14 +218,15 @@ impl Cells {
         Ok(())
     }
 
-    /// What is merged down a column holds for every row of it; `None` where that is too much, as only regions that overlap can be.
+    /// The content of a downward merged region applies to every row of it; `None` if that is too much, as only overlapping regions
+    /// can be.
     fn fill_down(&mut self, merged: &[Dimensions]) -> Option<()> {
         let mut left = MOST_CELLS;
         for Dimensions { start, end } in merged {
             let Some(text) = self.rows.get(&start.0).and_then(|row| row.get(&start.1)).cloned() else {
                 continue;
             };
-            // Rows that hold nothing else are none.
+            // Rows that hold nothing else are left out.
             let below = (std::ops::Bound::Excluded(start.0), std::ops::Bound::Included(end.0.max(start.0)));
             for (_, row) in self.rows.range_mut(below) {
                 left = left.checked_sub(1)?;
@@ -255,13 +256,13 @@ impl Cells {
             let range = format!("{}:{}", cell_name(region.start), cell_name(region.end));
             let more = if wide.len() > 1 { format!(" and {} more", wide.len() - 1) } else { String::new() };
             remarks.push(format!(
-                "{name}: {sheet}!{range}{more}: merged cells; what they hold counts for their first column alone"
+                "{name}: {sheet}!{range}{more}: merged cells; their content is taken for their first column only"
             ));
         }
         remarks
     }
 
-    /// Rows from the first column that holds something on; `None` where they are too many cells.
+    /// Rows from the first used column on; `None` if they have too many cells.
     fn rows(self, sheet: &Arc<str>) -> Option<Vec<TableRow>> {
         let first = self.rows.values().filter_map(|row| row.keys().next()).min().copied().unwrap_or(0);
         let width = |row: &BTreeMap<u32, String>| {

@@ -33,7 +33,7 @@ fn place(pose: u32) -> [f64; 3] {
 }
 
 fn numbers(row: &TableRow) -> Vec<f64> {
-    row.cells.iter().map(|cell| cell.parse().unwrap_or_else(|_| panic!("{cell:?} is no number"))).collect()
+    row.cells.iter().map(|cell| cell.parse().unwrap_or_else(|_| panic!("{cell:?} is not a number"))).collect()
 }
 
 #[track_caller]

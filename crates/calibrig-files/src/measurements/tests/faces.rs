@@ -40,7 +40,7 @@ fn raw_angles_of_the_back_face_become_the_direction_of_the_point() {
     }
     let turned = mapped("s,t,F,R,Hz,V\n1,2,I,3,30,80\n1,2,II,3,30,80\n", &face_map("")).expect("valid");
     assert!(
-        turned.remarks[0].contains("angles of the back face are those of the point"),
+        turned.remarks[0].contains("back-face angles are those of the point"),
         "{:?}",
         turned.remarks
     );
@@ -88,7 +88,7 @@ fn a_back_face_without_its_front_face_is_told_and_refused_where_the_mean_is_aske
     let refused = mapped(text, &face_map("[rows]\nfaces = \"average\"\n")).expect_err("no front face");
     let refused = format!("{:?}", miette::Report::new(refused));
     assert!(
-        refused.contains("set.csv:4: pose 3 was read in the back face, and not in the front face"),
+        refused.contains("set.csv:4: pose 3 was read in the back face, but not in the front face"),
         "{refused}"
     );
     assert!(refused.contains("faces = \"keep\""), "{refused}");
@@ -111,8 +111,8 @@ fn faces_that_contradict_their_angles_are_refused() {
         assert!(refused.to_string().contains(expected), "{refused}");
     }
     for (face, expected) in [
-        ("front = [\"1\"]\n", "says what stands for the front face, and not for the back"),
-        ("front = [\"1\"]\nback = [1]\n", "\"1\" stands for the front and for the back face"),
+        ("front = [\"1\"]\n", "says which texts mean the front face, but not which mean the back"),
+        ("front = [\"1\"]\nback = [1]\n", "\"1\" stands for both the front and the back face"),
         ("angles = \"turned\"\n", "angles is \"turned\""),
     ] {
         let head = "schema = \"calibrig.columns/1\"\n[joints]\ncolumns = [\"s\", \"t\"]\n";
@@ -123,7 +123,7 @@ fn faces_that_contradict_their_angles_are_refused() {
     let cartesian = "schema = \"calibrig.columns/1\"\n[joints]\ncolumns = [\"s\"]\n[position]\nsystem = \"cartesian\"\nx = \"x\"\ny = \"y\"\nz = \"z\"\n[face]\ncolumn = \"F\"\n";
     let refused =
         parse_column_map(&Source::new("columns.toml", cartesian)).expect_err("no angles").to_string();
-    assert!(refused.contains("[face] is of range and angles"), "{refused}");
+    assert!(refused.contains("[face] applies to range and angles"), "{refused}");
 }
 
 #[test]
@@ -145,14 +145,14 @@ fn a_zenith_beyond_180_degrees_is_told_where_no_column_names_faces() {
 fn air_that_cannot_be_is_refused_with_the_unit_that_it_looks_like() {
     let columns = |keys: &str| map(&format!("{SPHERICAL}[columns]\n{keys}"));
     for (key, value, expected) in [
-        ("temperature_c", "293.6", "as K it can be one: then the key in a column map is temperature_k"),
-        ("temperature_k", "20.5", "as °C it can be one"),
+        ("temperature_c", "293.6", "as K it is possible: then the key in a column map is temperature_k"),
+        ("temperature_k", "20.5", "as °C it is possible:"),
         ("temperature_c", "-300", "a temperature from -60 to 120 °C"),
-        ("temperature_f", "294", "as K it can be one"),
-        ("pressure_hpa", "101325", "as pa it can be one, then the key is pressure_pa"),
-        ("pressure_hpa", "29.92", "as inhg it can be one"),
-        ("pressure_mmhg", "1013.2", "as hpa it can be one"),
-        ("pressure_hpa", "3", "a pressure of the air from 500 to 1100 hPa"),
+        ("temperature_f", "294", "as K it is possible:"),
+        ("pressure_hpa", "101325", "as pa it is possible; then the key is pressure_pa"),
+        ("pressure_hpa", "29.92", "as inhg it is possible:"),
+        ("pressure_mmhg", "1013.2", "as hpa it is possible:"),
+        ("pressure_hpa", "3", "an air pressure from 500 to 1100 hPa"),
         ("humidity_percent", "140", "a relative humidity from 0 to 100 %"),
     ] {
         let text = format!("s,t,R,Hz,V,q\n1,2,3,30,80,{value}\n");
@@ -168,13 +168,13 @@ fn air_that_cannot_be_is_refused_with_the_unit_that_it_looks_like() {
     let temperatures: Vec<_> = loaded.set.observations.iter().map(|o| o.temperature).collect();
     assert_eq!(temperatures, [Some(20.0), None]);
     assert!(
-        loaded.remarks.iter().any(|r| r.contains("pressure_mmhg is checked, and not used")),
+        loaded.remarks.iter().any(|r| r.contains("pressure_mmhg is checked, but not used")),
         "{:?}",
         loaded.remarks
     );
     for (keys, expected) in [
-        ("temperature_c = \"T\"\ntemperature_k = \"U\"\n", "the temperature is stated twice"),
-        ("pressure_pa = \"T\"\npressure_hpa = \"U\"\n", "the pressure is stated twice"),
+        ("temperature_c = \"T\"\ntemperature_k = \"U\"\n", "the temperature is given twice"),
+        ("pressure_pa = \"T\"\npressure_hpa = \"U\"\n", "the pressure is given twice"),
     ] {
         let text = format!(
             "schema = \"calibrig.columns/1\"\n[joints]\ncolumns = [\"s\"]\n{SPHERICAL}[columns]\n{keys}"

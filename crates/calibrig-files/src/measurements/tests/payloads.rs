@@ -60,9 +60,9 @@ fn payloads_by_numbers_are_read_in_the_units_of_their_keys() {
 fn maps_that_leave_a_payload_open_are_refused() {
     let column = "[columns]\npayload = \"Load\"\n";
     for (map, message, help) in [
-        (column.to_owned(), "nothing says what the names in it", "[[payload]] with name"),
+        (column.to_owned(), "but the names in it", "[[payload]] with name"),
         (PLATES.to_owned(), "no column says which rows carry this payload", "payload in [columns]"),
-        (format!("{NUMBERS}{PLATES}"), "payloads are stated twice", "payload with [[payload]]"),
+        (format!("{NUMBERS}{PLATES}"), "payloads are given twice", "payload with [[payload]]"),
         (
             NUMBERS.replace("payload_z_mm = \"cz\"\n", ""),
             "[columns] has no payload_z_mm",
@@ -87,7 +87,7 @@ fn maps_that_leave_a_payload_open_are_refused() {
         ),
         (
             format!("{column}{PLATES}mass_factor = 1.1\n"),
-            "mass_factor is of a simulated payload",
+            "mass_factor applies to a simulated payload",
             "of a scenario",
         ),
         (format!("{NUMBERS}payload_force_x_n = \"fx\"\n"), "[columns] has no payload_force_y_n", "the key"),
@@ -111,7 +111,7 @@ fn own_columns_of_a_payload_call_for_mass_and_centre() {
     assert_eq!([0, 1].map(|i| loaded.set.observations[i].payload.clone()), [Some(plates), None]);
     let nameless =
         told(read("q1_m,q2_rad,x_m,y_m,z_m,payload\n1,2,3,4,5,plates\n").expect_err("a name alone"));
-    assert!(nameless.contains("there is a column payload, and none of payload_mass_kg"), "{nameless}");
+    assert!(nameless.contains("there is a column payload, but neither payload_mass_kg nor"), "{nameless}");
     let centreless =
         told(read("q1_m,q2_rad,x_m,y_m,z_m,payload_mass_kg\n1,2,3,4,5,25\n").expect_err("no centre"));
     assert!(centreless.contains("column payload_x_m is missing"), "{centreless}");

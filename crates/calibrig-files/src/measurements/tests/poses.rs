@@ -174,7 +174,7 @@ fn rows_that_are_no_pose_are_refused_where_they_are() {
             &quaternion,
             format!("{q}1,2,3,4,5,0,0,0,0\n"),
             "set.csv:3: the quaternion has length 0 (columns a, b, c, d)",
-            "a row without a position is a missed shot",
+            "leave its position empty: it then counts as a missed shot",
         ),
         (
             &quaternion,
@@ -204,13 +204,13 @@ fn rows_that_are_no_pose_are_refused_where_they_are() {
         (
             &with_sigma,
             format!("{s}1,2,3,4,5,0,0,0,0.1,\n"),
-            "set.csv:2: the uncertainty of the position is stated, and that of the rotation is empty",
+            "set.csv:2: the uncertainty of the position is stated, but that of the rotation is empty",
             "both in a row, or neither",
         ),
         (
             &with_sigma,
             format!("{s}1,2,3,4,5,0,0,0,,1e-4\n"),
-            "set.csv:2: the uncertainty of the rotation is stated, and that of the position is empty",
+            "set.csv:2: the uncertainty of the rotation is stated, but that of the position is empty",
             "rotation_urad",
         ),
         (&with_sigma, format!("{s}1,2,3,4,5,0,0,0,0.1,0\n"), "set.csv:2: column sr is \"0\"", "above zero"),
@@ -261,7 +261,7 @@ fn points_and_poses_are_not_put_together() {
     assert!(refused.contains("set.csv:1: column r33 is missing"), "{refused}");
     let spherical = "q1_m,q2_rad,range_m,az_rad,el_rad,r11\n0,0,1,2,3,1\n";
     let refused = own(spherical).expect_err("no place").to_string();
-    assert!(refused.contains("a rotation, r11 to r33, and none of x_m, y_m, z_m"), "{refused}");
+    assert!(refused.contains("a rotation, r11 to r33, but no x_m, y_m, z_m"), "{refused}");
 }
 
 #[test]
@@ -270,9 +270,9 @@ fn a_map_states_every_convention() {
     for (text, expected) in [
         (
             format!("{CARTESIAN}[rotation]\n{vector}\n"),
-            "[rotation] does not say what position and rotation are of",
+            "[rotation] does not say which frame is given in which",
         ),
-        (rotation_map("columns = [\"a\"]"), "[rotation] does not say what its numbers are"),
+        (rotation_map("columns = [\"a\"]"), "[rotation] does not say in which form its numbers are"),
         (rotation_map("form = \"quat\"\ncolumns = [\"a\"]"), "form is \"quat\""),
         (
             rotation_map("form = \"quaternion\"\ncolumns = [\"a\", \"b\", \"c\", \"d\"]"),
@@ -297,19 +297,19 @@ fn a_map_states_every_convention() {
         ),
         (
             rotation_map("form = \"abb_quaternion\"\nunit = \"deg\"\ncolumns = [\"a\", \"b\", \"c\", \"d\"]"),
-            "unit is of angles",
+            "unit applies to angles",
         ),
         (
             format!("{}[sigma]\nunit = \"mm\"\nx = \"u\"\ny = \"v\"\nz = \"w\"\n", rotation_map(vector)),
-            "the uncertainty of positions is stated, and none of rotations",
+            "the uncertainty of positions is stated, but not that of rotations",
         ),
         (
             rotation_map(&format!("{vector}\nsigma = \"u\"\nsigma_unit = \"rad\"")),
-            "the uncertainty of rotations is stated, and none of positions",
+            "the uncertainty of rotations is stated, but not that of positions",
         ),
         (
             format!("{CARTESIAN}[covariance]\ncolumns = [\"a\"]\n"),
-            "[covariance] is of full poses, and there is no [rotation]",
+            "[covariance] applies to full poses, but there is no [rotation]",
         ),
         (
             format!(

@@ -3,7 +3,7 @@
 use super::super::layout::Decimal;
 use super::super::units::TimeUnit;
 
-/// Which number of a date comes first, where its way of writing leaves that open: `04/05/2026`.
+/// Which number of a date comes first, if that is ambiguous: `04/05/2026`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in super::super) enum DateOrder {
     /// Day, month, year.
@@ -12,10 +12,10 @@ pub(in super::super) enum DateOrder {
     Ymd,
 }
 
-/// What a text says of time.
+/// The time that a text states.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in super::super) struct Stamp {
-    /// Since the day began, or since 1970 began where there is a date.
+    /// Since the start of the day, or since the start of 1970 if there is a date.
     pub seconds: f64,
     pub kind: Kind,
 }
@@ -31,7 +31,7 @@ pub(in super::super) enum Kind {
 }
 
 impl Kind {
-    /// Whether times of both count from the same moment, as far as can be told.
+    /// Whether times of both count from the same moment, as far as is known.
     pub fn is_comparable_with(self, other: Self) -> bool {
         // Numbers may count from any moment.
         let has_date = |kind| matches!(kind, Self::Moment | Self::MomentInZone);
@@ -105,7 +105,7 @@ struct Clock {
     ahead: Option<f64>,
 }
 
-/// `h:mm:ss` or `h:mm`, seconds with a point or a comma, thousandths also behind a third colon; `hhmmss`; then AM or PM, and a zone.
+/// `h:mm:ss` or `h:mm`, seconds with a point or a comma, thousandths also after a third colon; `hhmmss`; then AM or PM, and a zone.
 fn clock(text: &str) -> Option<Clock> {
     let (text, ahead) = zone(text.trim())?;
     let text = text.trim_end().trim_end_matches("Uhr").trim_end();

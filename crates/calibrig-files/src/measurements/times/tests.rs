@@ -156,7 +156,7 @@ fn times_are_read_in_the_way_of_the_file_and_what_is_odd_is_told() {
         [may, may + 1.0]
     );
     let found = refused(&["04.05.2026;9"], "day;clock", both);
-    assert!(found.contains("make no time together"), "{found}");
+    assert!(found.contains("are not a time"), "{found}");
     let found = refused(&["04.05.2026"], "clock", clock);
     assert!(found.contains("a date without a time of the day"), "{found}");
     // Kinds are not mixed, and what runs backwards is told.
@@ -175,7 +175,7 @@ fn times_are_read_in_the_way_of_the_file_and_what_is_odd_is_told() {
     assert_eq!(seconds(&["1500"], "clock [ms]", "[columns]\ntime_ms = \"clock\"\n").0, [1.5]);
     let found = refused(&["1500"], "clock [ms]", clock);
     assert!(
-        found.contains("in ms by the header, and in s by the column map (time_s)")
+        found.contains("in ms according to the header, but in s according to the column map (time_s)")
             && found.contains("time_ms in place"),
         "{found}"
     );
@@ -217,7 +217,7 @@ fn files_joined_by_time_have_times_of_one_kind() {
     let commands: Vec<f64> = loaded.set.observations.iter().map(|o| o.command[1]).collect();
     assert_eq!(commands, [1.0, 2.0]);
     assert!(
-        loaded.remarks.iter().any(|told| told.contains("without a zone they count as UTC")),
+        loaded.remarks.iter().any(|told| told.contains("without a time zone they are taken as UTC")),
         "{:?}",
         loaded.remarks
     );

@@ -1,4 +1,4 @@
-//! Readings moved, and readings of one nest merged.
+//! Moves readings, and merges readings of one nest.
 
 use std::collections::HashMap;
 
@@ -42,8 +42,8 @@ pub(super) fn move_spherical(reading: &mut SphericalReading, position: &Vector3<
     }
 }
 
-/// One observation a nest (and face, where something is known of the instrument, whose errors differ by face): the mean of its readings as seen from
-/// where the tracker stood on average. `excess` is the standard deviation over the stated one.
+/// One observation per nest (and per face, if something is known about the instrument, whose errors differ by face): the mean of its readings as
+/// seen from the tracker's mean place. `excess` is the standard deviation over the stated one.
 pub(super) fn merged(
     station: &Station,
     correction: Option<&Correction<'_>>,
@@ -77,7 +77,7 @@ fn mean_of(
     if group.len() == 1 && correction.is_none() {
         return Some(NestObservation { time: None, ..first.clone() });
     }
-    // Faces count the same, however often each was measured: their errors are opposite.
+    // Both faces have the same weight, however often each was measured: their errors are opposite.
     let faces: Vec<Vec<&NestObservation>> = [Face::Front, Face::Back, Face::Both]
         .into_iter()
         .map(|face| group.iter().copied().filter(|nest| nest.reading.face() == face).collect::<Vec<_>>())

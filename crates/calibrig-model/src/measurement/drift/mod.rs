@@ -1,14 +1,14 @@
 //! Motion of a tracker while it measures, from base nests that it measured more than once.
 //!
-//! A nest that is measured again stays where it is, so what its readings change by is the tracker's own motion. The certified places take no part in it:
-//! what they are off by is the same in every round and no drift. The motion is a random walk of all six freedoms whose two variances are those of
-//! greatest restricted likelihood; it is smoothed over all rounds and interpolated to the time of each reading ([`remove_drift`]).
+//! A nest that is measured again stays where it is, so changes of its readings are the tracker's own motion. The certified places play no part: their
+//! errors are the same in every round and no drift. The motion is a random walk of all six degrees of freedom, whose two variances maximise the
+//! restricted likelihood; it is smoothed over all rounds and interpolated to the time of each reading ([`remove_drift`]).
 
 mod merge;
 mod open;
+mod random_walk;
 #[cfg(test)]
 mod tests;
-mod walk;
 
 pub use open::OpenMotion;
 
@@ -21,28 +21,28 @@ use thiserror::Error;
 use super::registration::RegistrationError;
 use super::{Face, MeasurementSet, NestObservation, Reading, Station};
 use crate::geometry::Transform;
-use walk::{Sighting, Smoothed, Walk};
+use random_walk::{RandomWalk, Sighting, Smoothed};
 
-/// False alarms of "it drifts" among stations that stand still.
+/// Rate of false alarms of "it drifts" among stations that stand still.
 pub const DRIFT_FALSE_ALARM: f64 = 0.01;
-/// The same of "a nest was not where it is in the other rounds", over all readings of a station.
+/// The same for "a nest was not where it is in the other rounds", over all readings of a station.
 pub const NEST_FALSE_ALARM: f64 = 0.001;
-/// Standard deviation that readings without a covariance are taken to have until their scatter is known, m.
+/// Standard deviation assumed for readings without a covariance until their scatter is known, m.
 const ASSUMED_SIGMA: f64 = 1e-5;
 /// Motion beyond which a tracker has not drifted but was moved: the walk is linear in its turn, and loses a micrometre at 4 m from here on.
 const MOST_TURN: f64 = 0.7e-3;
 const MOST_MOTION: f64 = 3e-3;
 
-/// Measurements in which every tracker stands still, and what it took to make them so.
+/// Measurements as if every tracker stood still, and the corrections.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Steady {
-    /// Every nest once, as seen on the average of its rounds; readings as they would be from the place where the nests were seen so.
+    /// Every nest once, at its mean over the rounds; readings as seen from the corresponding mean place of the tracker.
     pub measurements: MeasurementSet,
-    /// One entry a station whose nests were measured more than once.
+    /// One entry per station whose nests were measured more than once.
     pub stations: Vec<StationDrift>,
 }
 
-/// What the rounds of nests say of a station.
+/// What the rounds of nests say about a station.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StationDrift {
     /// Its name.
@@ -51,14 +51,14 @@ pub struct StationDrift {
     pub nests: usize,
     /// Most readings of one nest in one face.
     pub rounds: usize,
-    /// From the first to the last reading of a nest, s; zero where times are not known.
+    /// From the first to the last reading of a nest, s; zero if times are unknown.
     pub duration: f64,
     /// What was done about it.
     pub verdict: DriftVerdict,
-    /// Standard deviation of the nests' readings over the stated one (over 10 µm where none is stated), between rounds and without the motion;
-    /// `None` where too few were measured again to tell.
+    /// Standard deviation of the nests' readings over the stated one (over 10 µm if none is stated), between rounds and without the motion;
+    /// `None` if too few were measured again.
     pub noise_ratio: Option<f64>,
-    /// Readings of nests that contradict the other rounds. They were left out.
+    /// Readings of nests that contradict the other rounds, and were left out.
     pub contradictions: Vec<NestContradiction>,
 }
 
@@ -70,21 +70,21 @@ pub enum DriftVerdict {
     Removed(DriftSize),
     /// It does not move by more than the nests scatter; nothing was corrected.
     None {
-        /// Probability that a tracker that stands still shows as much.
+        /// Probability that a stationary tracker shows as much.
         p_value: f64,
     },
-    /// Whether it moves cannot be told from these rounds: times or enough readings are missing. Nothing was corrected.
+    /// Unknown from these rounds: times or enough readings are missing. Nothing was corrected.
     Unknown {
         /// What is missing.
         missing: MissingForDrift,
     },
 }
 
-/// Why rounds of nests tell nothing of a drift.
+/// Why rounds of nests do not determine a drift.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MissingForDrift {
-    /// Some readings of the nests have no time, or all have the same.
+    /// Some readings of the nests have no time, or all have the same time.
     Times,
     /// Too few nests were measured again.
     Readings,
@@ -101,13 +101,13 @@ pub struct DriftSize {
     pub motion_per_hour: f64,
     /// The same of the turn about one axis, rad.
     pub turn_per_hour: f64,
-    /// Probability that a tracker that stands still shows as much.
+    /// Probability that a stationary tracker shows as much.
     pub p_value: f64,
-    /// RMS over the readings of the target of what they were moved by, m.
+    /// RMS over the readings of the target of their correction, m.
     pub correction_rms: f64,
-    /// RMS over them of the correction's own standard deviation in 3-D, m: what the rounds leave open.
+    /// RMS over them of the correction's own standard deviation in 3-D, m: what the rounds leave undetermined.
     pub left_rms: f64,
-    /// Readings of the target before the first or after the last round, where nothing but the walk's variance bounds the drift.
+    /// Readings of the target before the first or after the last round, where only the walk's variance bounds the drift.
     pub outside: usize,
 }
 
@@ -118,20 +118,20 @@ pub struct NestContradiction {
     pub nest: String,
     /// When, s.
     pub time: f64,
-    /// How far off by the other rounds, m.
+    /// Its distance from the place in the other rounds, m.
     pub distance: f64,
     /// Probability of that by chance, times the number of readings.
     pub p_value: f64,
 }
 
-/// Rounds of nests that make no sense.
+/// Rounds of nests that are inconsistent.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum DriftError {
     /// Two certified places of one nest.
     #[error(
-        "station {station}: nest {nest} is certified at two places, {:.4} mm apart; a nest that is measured again keeps its certified place, \
-         another one needs a name of its own",
+        "station {station}: nest {nest} is certified at two places, {:.4} mm apart: give a nest that is measured again the \
+         same certified place, and a different nest a different name",
         1e3 * distance
     )]
     TwoPlaces {
@@ -142,10 +142,10 @@ pub enum DriftError {
         /// m
         distance: f64,
     },
-    /// More than a drift.
+    /// A motion too large for a drift.
     #[error(
-        "station {station}: by its base nests the tracker moved by {:.3} mm and {:.3} mrad between {from:.0} s and {to:.0} s, which is no drift; \
-         give what was measured after it was moved as a station of its own",
+        "station {station}: by its base nests the tracker moved by {:.3} mm and {:.3} mrad between {from:.0} s and {to:.0} s, \
+         too much for drift: make the readings after the move a separate station",
         1e3 * motion,
         1e3 * turn
     )]
@@ -161,7 +161,7 @@ pub enum DriftError {
         /// The round after, s.
         to: f64,
     },
-    /// Nests that do not tell all six freedoms.
+    /// Nests that do not determine all six degrees of freedom.
     #[error("station {station}: {source}")]
     Nests {
         /// Name of the station.
@@ -177,16 +177,17 @@ struct Seat {
     mean: Vector3<f64>,
 }
 
-/// Finds the drift of every station whose nests were measured more than once, and removes it: readings and nests are moved to where the tracker stood on
-/// the average of its rounds, and what the correction leaves open is added to the covariance of each reading, as it is for one by itself. What of it
-/// readings share is [`Station::motion`].
+/// Finds the drift of every station whose nests were measured more than once, and removes it: readings and nests are moved to the tracker's mean
+/// place over its rounds, and the remaining uncertainty is added to the covariance of each reading as if it were independent. The part that readings
+/// share is [`Station::motion`].
 ///
-/// A station whose nests were measured once each is as it was, to the bit; so are readings at a tracker that does not move by more than nests scatter (at
-/// [`DRIFT_FALSE_ALARM`]). Deterministic, and without any knowledge of the truth.
+/// A station whose nests were each measured once is unchanged, to the bit; so are readings of a tracker that moves by no more than its nests scatter
+/// (at [`DRIFT_FALSE_ALARM`]). Deterministic, and without any knowledge of the truth.
 ///
 /// # Errors
 ///
-/// [`DriftError`], of nests that contradict their own certificate, lie on one line, or are seen from a tracker that was moved.
+/// [`DriftError`], for nests that contradict their own certificate, lie on one line, or are seen from a tracker that was
+/// moved.
 pub fn remove_drift(set: &MeasurementSet) -> Result<Steady, DriftError> {
     let mut steady = Steady { measurements: set.clone(), stations: Vec::new() };
     for (index, station) in set.stations.iter().enumerate() {
@@ -198,7 +199,7 @@ pub fn remove_drift(set: &MeasurementSet) -> Result<Steady, DriftError> {
         let times: Vec<f64> = own.map(|o| o.time).collect();
         let (mut drift, motion, left_out) = drift_of(station, &times)?;
         let correction = motion.as_ref().map(|(smoothed, open)| Correction { smoothed, open });
-        // A walk is told by the noise that was found: where it is taken off, nests have that noise, too.
+        // The walk was judged with the noise that was found: once it is removed, the nests have that noise as well.
         let excess = drift.noise_ratio.filter(|_| motion.is_some() || scatters_more(&drift)).unwrap_or(1.0);
         let Steady { measurements, stations } = &mut steady;
         measurements.stations[index].nests = merge::merged(station, correction.as_ref(), &left_out, excess);
@@ -208,7 +209,7 @@ pub fn remove_drift(set: &MeasurementSet) -> Result<Steady, DriftError> {
         }
         let tells = !matches!(drift.verdict, DriftVerdict::Unknown { .. });
         if let Some(stated) = measurements.stations[index].instrument.as_mut().filter(|_| tells) {
-            // What the rounds say takes the place of what was stated.
+            // The noise found in the rounds replaces the stated one.
             stated.drift = None;
         }
         stations.push(drift);
@@ -216,7 +217,7 @@ pub fn remove_drift(set: &MeasurementSet) -> Result<Steady, DriftError> {
     Ok(steady)
 }
 
-/// Moves the readings of a station, and says by how much.
+/// Moves the readings of a station, and returns by how much.
 fn correct(set: &mut MeasurementSet, station: usize, correction: &Correction<'_>, size: &mut DriftSize) {
     let (mut moved, mut left, mut count) = (0.0, 0.0, 0.0_f64);
     let sweeps = set.stations[station].sweeps.iter_mut();
@@ -295,7 +296,7 @@ type Motion = (Smoothed, OpenMotion);
 
 /// The rounds of a station as a walk sees them.
 struct Rounds {
-    walk: Walk,
+    walk: RandomWalk,
     /// Which reading of the station each sighting is.
     which: Vec<usize>,
     frame: WalkFrame,
@@ -325,15 +326,15 @@ fn rounds_of(station: &Station, left_out: &[usize]) -> Result<Rounds, Registrati
     sightings.sort_by(|(a, _), (b, _)| a.time.total_cmp(&b.time));
     let (sightings, which) = sightings.into_iter().unzip();
     Ok(Rounds {
-        walk: Walk::new(&places, sightings).ok_or(RegistrationError::OnOneLine)?,
+        walk: RandomWalk::new(&places, sightings).ok_or(RegistrationError::OnOneLine)?,
         which,
         frame: WalkFrame { centre, radius },
         most: seats.iter().map(|seat| seat.readings.len()).max().unwrap_or(0),
     })
 }
 
-/// The drift of a station, its motion where it can be told, and which readings of nests contradict the others.
-/// `times` are those of the readings that shall be corrected, s.
+/// The drift of a station, its motion if it can be determined, and which readings of nests contradict the others.
+/// `times` are those of the readings to correct, s.
 fn drift_of(
     station: &Station,
     times: &[f64],
@@ -358,7 +359,7 @@ fn drift_of(
     }
     let left_out = contradicting(&rounds, station, &mut drift);
     if !left_out.is_empty() {
-        // What was off was in the mean places, too.
+        // The error was in the mean places as well.
         rounds = rounds_of(station, &left_out).map_err(refused)?;
     }
     let Rounds { walk, frame, .. } = rounds;
@@ -367,7 +368,7 @@ fn drift_of(
         drift.verdict = DriftVerdict::Unknown { missing: MissingForDrift::Readings };
         return Ok((drift, None, left_out));
     };
-    let p_value = walk::p_of_walk(still.deviance, moving.deviance);
+    let p_value = random_walk::p_of_walk(still.deviance, moving.deviance);
     if p_value >= DRIFT_FALSE_ALARM {
         drift.noise_ratio = Some(still.noise_factor.sqrt());
         drift.verdict = DriftVerdict::None { p_value };
@@ -379,7 +380,7 @@ fn drift_of(
     Ok((drift, Some((moving, open)), left_out))
 }
 
-/// The readings of nests that contradict the other rounds, the worst first, until no more do or one in ten is out.
+/// The readings of nests that contradict the other rounds, the worst first, until none is left or one in ten is out.
 fn contradicting(rounds: &Rounds, station: &Station, drift: &mut StationDrift) -> Vec<usize> {
     let (mut walk, mut which) = (rounds.walk.clone(), rounds.which.clone());
     let mut left_out = Vec::new();
@@ -387,7 +388,7 @@ fn contradicting(rounds: &Rounds, station: &Station, drift: &mut StationDrift) -
     let limit = (NEST_FALSE_ALARM / count).ln();
     while left_out.len() < rounds.which.len() / 10 {
         let Some(told) = walk.smooth(false, &[]) else { break };
-        // A reading that is off drags the walk with it: those that look worst are held against a walk that does not know them.
+        // A wrong reading drags the walk with it: the worst candidates are compared with a walk that excludes them.
         let suspects = told.suspects().into_iter().take(3).filter(|(_, ln_p)| *ln_p < limit + 10.0_f64.ln());
         let held = suspects.filter_map(|(suspect, _)| {
             let rest = walk.without(suspect);
@@ -419,9 +420,9 @@ fn size_of(told: &Smoothed, frame: WalkFrame, p_value: f64, station: &str) -> Re
             return Err(DriftError::Moved { station: station.to_owned(), motion, turn, from, to });
         }
     }
-    // Over the ends of all chords through the first and the farthest: the span, within a factor that no reader minds, in linear time.
+    // Over the ends of all chords through the first and the farthest point: the span, up to a small factor, in linear time.
     let farthest = |from: &Vector6<f64>, turns: bool| {
-        let size = |knot: &walk::Knot| {
+        let size = |knot: &random_walk::Knot| {
             let (motion, turn) = motion_of(knot.mean - from);
             if turns { turn } else { motion }
         };
@@ -459,7 +460,7 @@ fn scatters_more(drift: &StationDrift) -> bool {
     drift.noise_ratio.is_some_and(|ratio| ratio.powi(2) > 1.0 + 3.5 * (2.0 / (3.0 * again)).sqrt())
 }
 
-/// Takes readings to where the tracker stood on the average of its rounds.
+/// Moves readings to the tracker's mean place over its rounds.
 struct Correction<'a> {
     smoothed: &'a Smoothed,
     open: &'a OpenMotion,
@@ -472,7 +473,7 @@ impl Correction<'_> {
         first.is_none_or(|knot| time < knot.time) || last.is_none_or(|knot| time > knot.time)
     }
 
-    /// What takes a point as seen at a time to where it would have been seen.
+    /// The transform that takes a point as seen at a time to where it would have been seen.
     fn at(&self, time: f64) -> Option<Transform> {
         let (xi, _) = self.smoothed.at(time)?;
         let WalkFrame { centre, radius } = self.open.frame();
@@ -482,8 +483,8 @@ impl Correction<'_> {
         Some(Transform::from_parts((centre + shift - turn * centre).into(), turn).inverse())
     }
 
-    /// Moves a reading and adds what the correction leaves open to its covariance. By how much, m, and the trace of what was added, m²;
-    /// `None` where the time is not a finite number.
+    /// Moves a reading and adds the correction's remaining uncertainty to its covariance. Returns the displacement, m, and the trace of
+    /// the added covariance, m²; `None` if the time is not a finite number.
     fn apply(&self, reading: &mut Reading, time: f64) -> Option<(Vector3<f64>, f64)> {
         let still_from_seen = self.at(time)?;
         let seen = reading.position();

@@ -1,29 +1,29 @@
-//! What the correction of a drift leaves open, as errors that the readings of a station share.
+//! The remaining uncertainty of a drift correction, as errors that the readings of a station share.
 
 use nalgebra::{DMatrix, Matrix6, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 
 use super::WalkFrame;
-use super::walk::{Rates, Smoothed};
+use super::random_walk::{Rates, Smoothed};
 
-/// Errors that the readings of a station share, because one motion of its tracker was taken off all of them: joint normal at the sightings of nests
-/// next to readings; in between, readings stand on a line between two of these and a Brownian bridge, before the first and behind the last on a walk.
+/// Errors that the readings of a station share, because one motion of its tracker was removed from all of them: joint normal at the sightings of
+/// nests next to readings; between two of these, readings lie on a line plus a Brownian bridge, before the first and after the last on a random walk.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct OpenMotion {
     /// Times of the sightings next to readings, s, ascending.
     knots: Vec<f64>,
-    /// Covariance of the walk there, about its mean over all sightings, six rows a knot, m².
+    /// Covariance of the walk there, about its mean over all sightings, six rows per knot, m².
     covariance: DMatrix<f64>,
     /// Variances of the walk, m²/s.
     rates: Rates,
     frame: WalkFrame,
 }
 
-/// Where a time is.
+/// Place of a time among the knots.
 struct Place {
-    /// The knots about it, with their shares.
+    /// The knots around it, with their weights.
     about: [(usize, f64); 2],
-    /// Knots that are not behind it.
+    /// Number of knots that are not after it.
     gap: usize,
     time: f64,
 }
@@ -38,7 +38,7 @@ impl OpenMotion {
         self.frame
     }
 
-    /// Covariance of what two readings are off by, each of a point seen at a time (s) at a place (m, in the tracker's frame): rows are the displacement
+    /// Covariance of the errors of two readings, each of a point seen at a time (s) at a place (m, in the tracker's frame): rows are the displacement
     /// (m) and the turn (rad) of the first, columns those of the second.
     pub fn covariance(&self, first: (f64, &Vector3<f64>), second: (f64, &Vector3<f64>)) -> Matrix6<f64> {
         let (a, b) = (self.place(first.0), self.place(second.0));

@@ -1,7 +1,7 @@
 use nalgebra::{Matrix3, Rotation3, Vector3, Vector6};
 use rand::{Rng, RngExt};
 
-use super::walk::BEFORE;
+use super::random_walk::BEFORE;
 use super::*;
 use crate::geometry::{best_fit_transform, rotation_x, rotation_z, small_displacement, translation};
 use crate::measurement::{MeasurementSet, Observation, SphericalReading, Station, Target, register};
@@ -349,7 +349,7 @@ fn rounds_that_make_no_sense_are_refused() {
             nest.reading = spherical(nest.reading.position() + Vector3::new(5e-3, 0.0, 0.0), NOISE);
         }
     });
-    assert!(moved.contains("the tracker moved by 5.0") && moved.contains("a station of its own"), "{moved}");
+    assert!(moved.contains("the tracker moved by 5.0") && moved.contains("a separate station"), "{moved}");
 }
 
 #[test]

@@ -1,12 +1,12 @@
 //! A virtual acceptance test in the style of ASME B89.4.19: reference lengths, two faces, ranging.
 //!
-//! The standard's text was not at hand. Known of it: a length of 2.3 m in 35 positions (near; level, upright and along both diagonals at 3 m
-//! and 6 m and at four azimuths; two of the user's choice), three times each; 36 points measured in both faces; intervals of the range; and that every
-//! single error must be within its MPE. Places that are our own choice are marked in [`places`](self::lengths).
+//! The standard's text was not at hand. Known about it: a length of 2.3 m in 35 positions (near; level, upright and along both diagonals at 3 m and 6
+//! m and at four azimuths; two of the user's choice), three times each; 36 points measured in both faces; intervals of the range; and that every
+//! single error must be within its MPE. Places of our own choice are marked in [`places`](self::lengths).
 //!
-//! The permissible error of a length along the unit vector u between ends i, seen along `r_i` at ranges `R_i`, is taken as
-//! `MPE² = Σ (u·r_i)² e_R(R_i)² + (1 - (u·r_i)²) e_T(R_i)²`; that of two faces is `2 e_T`, across the beam; that of an interval of range is that of a
-//! length along the beam. There is neither drift nor weather in the room.
+//! The permissible error of a length along the unit vector u between ends i, seen along `r_i` at ranges `R_i`, is taken as `MPE² = Σ (u·r_i)²
+//! e_R(R_i)² + (1 - (u·r_i)²) e_T(R_i)²`; that of two faces is `2 e_T`, across the beam; that of an interval of range is that of a length along the
+//! beam. The room has neither drift nor changing air.
 
 mod places;
 
@@ -26,7 +26,7 @@ use super::{LaserTracker, Shot, TrackerError};
 /// Times that each length is measured.
 pub const REPEATS: u32 = 3;
 
-/// One error that was found, and what is permitted.
+/// One measured error, and its permissible size.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Finding {
     /// In which test.
@@ -37,7 +37,7 @@ pub struct Finding {
     pub range: f64,
     /// Which repeat, from zero.
     pub repeat: u32,
-    /// Measured length less true length, or distance of the two faces' points across the beam, m.
+    /// Measured minus true length, or distance of the two faces' points across the beam, m.
     pub error: f64,
     /// Largest permissible size of it, m.
     pub mpe: f64,
@@ -50,7 +50,7 @@ impl Finding {
     }
 }
 
-/// What the test of one instrument found: 105 lengths, 36 two-face errors, 10 intervals.
+/// Results of the test of one instrument: 105 lengths, 36 two-face errors, 10 intervals.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Acceptance {
     /// In the order taken.
@@ -120,7 +120,7 @@ impl Acceptance {
         self.worst_where(|finding| finding.test == test)
     }
 
-    /// The same over all tests of which this is said.
+    /// The same over all tests that are selected.
     pub fn worst_where(&self, which: impl Fn(&Finding) -> bool) -> Option<&Finding> {
         self.findings.iter().filter(|finding| which(finding)).max_by(|a, b| a.ratio().total_cmp(&b.ratio()))
     }
@@ -146,7 +146,7 @@ impl Acceptance {
     }
 }
 
-/// One instrument of a kind as it comes from the workshop, tested or not, and its test. What it has is a function of (seed, trial, draw).
+/// One instrument of a kind as it leaves the workshop, whether it passes or not, with its test: a function of (seed, trial, draw).
 pub fn draw_and_test(
     instrument: &Instrument,
     seed: u64,
@@ -158,10 +158,11 @@ pub fn draw_and_test(
     Ok((own, Acceptance::of(instrument, &own, noise)?))
 }
 
-/// Instruments drawn before giving up: of a kind of which one in a hundred passes, 0.99^1000 = 4e-5 of the sessions are refused.
+/// Instruments drawn before giving up: for a kind of which one in a hundred passes, 0.99^1000 = 4e-5 of the sessions are
+/// refused.
 const MOST_DRAWS: u32 = 1000;
 
-/// The first one that passes, and how many did not before it.
+/// The first one that passes, and how many failed before it.
 pub(super) fn first_accepted(
     instrument: &Instrument,
     seed: u64,
@@ -188,7 +189,7 @@ pub fn permitted_length(instrument: &Instrument, ends: &[Vector3<f64>; 2]) -> f6
     (square(&ends[0]) + square(&ends[1])).sqrt()
 }
 
-/// Distance of what two faces read of one point, across the beam, m.
+/// Distance between the readings of one point in two faces, across the beam, m.
 fn across(front: &SphericalReading, back: &SphericalReading) -> f64 {
     let beam = front.position().normalize();
     let apart = back.position() - front.position();

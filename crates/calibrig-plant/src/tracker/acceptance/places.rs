@@ -136,7 +136,8 @@ const INTERVALS: u32 = 10;
 /// At which farthest range they end, m.
 const RANGING_END: f64 = 30.0;
 
-/// Heights of two-face points over the tracker, m: our choice, within reach of every instrument that turns by 45° up and down.
+/// Heights of two-face points above the tracker, m: our choice, within reach of every instrument that turns by 45° up and
+/// down.
 const HEIGHTS: [f64; 3] = [-1.0, 0.0, 1.0];
 
 fn azimuths() -> impl Iterator<Item = f64> {
@@ -189,7 +190,7 @@ pub fn two_face_points() -> impl Iterator<Item = (Test, Vector3<f64>)> {
     })
 }
 
-/// Where the intervals of range end that begin at [`RANGING_START`], of an instrument that reaches so far, m.
+/// Where the intervals of range that begin at [`RANGING_START`] end, for an instrument with this reach, m.
 pub fn ranging_ends(farthest: f64) -> impl Iterator<Item = f64> {
     let step = (farthest.min(RANGING_END) - RANGING_START) / f64::from(INTERVALS);
     (1..=INTERVALS).map(move |interval| RANGING_START + step * f64::from(interval))

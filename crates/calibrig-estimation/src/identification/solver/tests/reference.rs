@@ -53,7 +53,7 @@ struct RobustCase {
     sigma: f64,
     priors: Vec<PriorCase>,
     outliers: Vec<usize>,
-    fits: Vec<Fit>,
+    fits: Vec<ReferenceFit>,
 }
 
 #[derive(Deserialize)]
@@ -64,7 +64,7 @@ struct PriorCase {
 }
 
 #[derive(Deserialize)]
-struct Fit {
+struct ReferenceFit {
     loss: String,
     k: f64,
     x: Vec<f64>,
@@ -273,7 +273,7 @@ fn robust_problem(case: &RobustCase) -> Formula<impl FnMut(&[f64]) -> Rows + '_>
     Formula { n, m: 3 * case.t.len() + case.priors.len(), blocks: case.t.len(), f: rows }
 }
 
-fn loss(fit: &Fit) -> Loss {
+fn loss(fit: &ReferenceFit) -> Loss {
     match fit.loss.as_str() {
         "huber" => Loss::Huber { k: fit.k },
         "cauchy" => Loss::Cauchy { k: fit.k },

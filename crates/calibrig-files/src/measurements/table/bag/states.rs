@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::Measured;
 use crate::measurements::table::counted;
 
-/// A robot whose joints change by more than this within the tolerance moves, rad or m.
+/// A change of a joint within the tolerance, rad or m, above which the robot counts as moving.
 const MOVES: f64 = 1e-4;
 
 /// A state of a joint.
@@ -35,7 +35,7 @@ impl States {
         self.order.is_empty() || self.span == Some((stamp, stamp))
     }
 
-    /// Takes note of the joint, and of its state where that is near a point.
+    /// Records the joint, and its state if that is near a point.
     pub fn push(&mut self, name: &str, sample: Sample, is_near: bool) {
         if !self.samples.contains_key(name) {
             self.order.push(name.to_owned());
@@ -104,8 +104,9 @@ impl Moving {
     pub fn words(&self, name: &str, tolerance: f64) -> Option<String> {
         let (most, place) = self.most.as_ref()?;
         Some(format!(
-            "{name}: {} measured while the robot moved: a joint changes by up to {most:.2e} rad or m within {} ms of the stamp ({place}), and the \
-             point is off by as much times its arm; let the robot rest at every point, or make --bag-tolerance-ms smaller",
+            "{name}: {} measured while the robot moved: a joint changes by up to {most:.2e} rad or m within {} ms of the \
+             stamp ({place}), which displaces the point by that times its distance from the axis; let the robot rest at every \
+             point, or make --bag-tolerance-ms smaller",
             counted(self.count, "point"),
             1e3 * tolerance
         ))

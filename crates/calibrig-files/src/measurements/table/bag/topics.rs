@@ -8,7 +8,7 @@ use crate::input::InputError;
 use crate::measurements::table::counted;
 use crate::measurements::table::mcap_records::{Channel, messages};
 
-/// What can be of use on a topic.
+/// Usable content of a topic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {
     Joints,
@@ -57,7 +57,7 @@ impl Bag<'_> {
             };
             if channel.encoding != "cdr" {
                 return Err(format!(
-                    "{}: its messages are encoded as {:?}, and not as CDR, as those of ROS 2 are",
+                    "{}: its messages are encoded as {:?}; expected CDR, as ROS 2 writes",
                     channel.topic, channel.encoding
                 ));
             }
@@ -67,7 +67,7 @@ impl Bag<'_> {
                 messages: 0,
             });
             if topic.kind != kind {
-                return Err(format!("{}: its messages are of different kinds", channel.topic));
+                return Err(format!("{}: its messages are of different types", channel.topic));
             }
             topic.messages += 1;
             Ok(())
@@ -75,21 +75,21 @@ impl Bag<'_> {
         .map_err(|trouble| self.trouble(trouble))?;
         if topics.is_empty() {
             if calibrig {
-                return Err(self.refuse("it is a calibrig recording, and no bag of ROS 2".to_owned(),
-                    "`calibrig replay`, which identifies from it, or `calibrig export csv`, which makes files of it".to_owned(),
+                return Err(self.refuse("it is a calibrig recording, not a ROS 2 bag".to_owned(),
+                    "`calibrig replay`, which identifies from it, or `calibrig export csv`, which turns it into text files".to_owned(),
                 ));
             }
             let others: Vec<_> = others.into_iter().take(12).collect();
-            let found = if others.is_empty() { "no message".to_owned() } else { others.join(", ") };
+            let found = if others.is_empty() { "no messages".to_owned() } else { others.join(", ") };
             return Err(self.refuse(
-                format!("the bag has no states of joints and no points; it has {found}"),
+                format!("the bag has neither joint states nor points; it has {found}"),
                 format!("sensor_msgs/JointState, and {POINTS}"),
             ));
         }
         Ok(topics)
     }
 
-    /// Topics of the right kinds, with the numbers of their messages.
+    /// Topics of the right types, with the numbers of their messages.
     fn listed(topics: &BTreeMap<String, Topic>, joints: bool) -> Vec<String> {
         let right = topics.iter().filter(|(_, topic)| (topic.kind == Kind::Joints) == joints);
         right
@@ -111,11 +111,11 @@ impl Bag<'_> {
             }
             (None, [only]) => Ok((*only).clone()),
             (None, []) => Err(self.refuse(
-                "the bag has no states of joints".to_owned(),
+                "the bag has no joint states".to_owned(),
                 "a topic of sensor_msgs/JointState: record it together with the points".to_owned(),
             )),
             (None, _) => Err(self.refuse(
-                "several topics have states of joints".to_owned(),
+                "several topics have joint states".to_owned(),
                 format!("--bag-joints with one of: {}", listed()),
             )),
         }
@@ -143,7 +143,7 @@ impl Bag<'_> {
             ([], _) => Err(self.refuse(
                 "several topics have points".to_owned(),
                 format!(
-                    "--bag-points with one of them, or several where each is a target of its own: {}",
+                    "--bag-points with one of them, or with several if each is a different target: {}",
                     listed()
                 ),
             )),

@@ -5,9 +5,9 @@ use std::io::{self, Read, Seek};
 
 use zip::ZipArchive;
 
-/// What a part may unpack to that is read as a whole: texts, styles and lists.
+/// Limit for a part that is read as a whole: texts, styles and lists.
 const MOST_OF_A_PART: u64 = 256 << 20;
-/// The same of a sheet, which is read cell by cell: twenty million cells take less.
+/// The same for a sheet, which is read cell by cell: twenty million cells take less.
 const MOST_OF_A_SHEET: u64 = 2 << 30;
 
 /// A part that is too large: its name and its bound, bytes.
@@ -16,9 +16,9 @@ pub(super) struct TooLarge {
     pub most: u64,
 }
 
-/// Unpacks every part that a reader of sheets looks into, and keeps nothing: what a file says of its sizes need not be so.
+/// Unpacks every part that a sheet reader uses, and keeps nothing: the sizes stated in a file need not be true.
 ///
-/// `None` where all are within bounds, or the archive cannot be read, which its reader tells.
+/// `None` if all are within bounds, or the archive cannot be read, which its reader reports.
 pub(super) fn too_large(file: &mut (impl Read + Seek)) -> Option<TooLarge> {
     let mut archive = ZipArchive::new(file).ok()?;
     for index in 0..archive.len() {
@@ -29,7 +29,7 @@ pub(super) fn too_large(file: &mut (impl Read + Seek)) -> Option<TooLarge> {
             continue;
         }
         let most = if name.contains("worksheets/") { MOST_OF_A_SHEET } else { MOST_OF_A_PART };
-        // A part that is damaged is told by who reads it.
+        // A damaged part is reported by its reader.
         if part.size() > most
             || io::copy(&mut part.take(most + 1), &mut io::sink()).is_ok_and(|bytes| bytes > most)
         {

@@ -225,7 +225,7 @@ fn orientations_are_columns_where_every_point_has_one() {
     let unset = ("/unset", "geometry_msgs/msg/PoseStamped", 1, unset);
     let some = messages(&[odometry, unset]);
     assert_eq!(some.rows[0].cells.len(), 7, "{:?}", some.rows[0]);
-    assert!(some.remarks.iter().any(|line| line.contains("not all of the points have an orientation")));
+    assert!(some.remarks.iter().any(|line| line.contains("some points have no orientation")));
 }
 
 #[test]
@@ -250,7 +250,7 @@ fn topics_are_told_apart_or_asked_for() {
     assert_eq!(of(&messages, &chosen).expect("read").rows.len(), 6);
     let unknown = BagOptions { names: vec!["J1".to_owned()], ..chosen };
     let error = of(&messages, &unknown).expect_err("refused");
-    assert!(error.contains("no joint called J1") && error.contains("b, a"), "{error}");
+    assert!(error.contains("no joint named J1") && error.contains("b, a"), "{error}");
 }
 
 #[test]
@@ -306,7 +306,7 @@ fn without_stamps_the_times_of_the_file_count_and_frames_are_stations() {
     assert_eq!(table.rows[1].cells, ["0", "0.5", "1", "0.5", "0.25", "t1"]);
     assert_eq!(table.rows[2].cells, ["1", "0.75", "2", "0.5", "0.25", "t2"]);
     let said = table.remarks.join("\n");
-    for words in ["by the times of the file", "frames t1, t2: each is a station"] {
+    for words in ["by the times of the file", "frames t1, t2: each is a separate station"] {
         assert!(said.contains(words), "{words}: {said}");
     }
 }
@@ -322,9 +322,9 @@ fn what_is_no_bag_of_ros_2_is_refused_with_what_to_do() {
     refused(&[("/session", "calibrig.v1.Session", 0, vec![])], &["calibrig recording", "calibrig replay"]);
     refused(
         &[("/imu", "sensor_msgs/msg/Imu", 0, vec![])],
-        &["no states of joints", "/imu (sensor_msgs/msg/Imu)"],
+        &["neither joint states nor points", "/imu (sensor_msgs/msg/Imu)"],
     );
-    refused(&[("/p", POINT, 0, vec![])], &["no states of joints", "record it together"]);
+    refused(&[("/p", POINT, 0, vec![])], &["no joint states", "record it together"]);
     let state = Cdr::state(0, true, &[("a", 0.0)], &[]);
     refused(
         &[("/s", STATE, 0, state.clone()), ("/p", POINT, 0, vec![0, 1, 0])],

@@ -4,32 +4,29 @@ use nalgebra::{Rotation3, Vector3};
 
 use super::Mode;
 use crate::elastostatics::{Carried, Deflection, ElasticChain, ElasticError};
-use crate::kinematics::{ElbowLinkage, PlacedChain, frames, is_parallelogram, nominal_joints};
+use crate::kinematics::{ElbowLinkage, KinematicChain, frames, is_parallelogram, nominal_joints};
 use calibrig_model::geometry::Transform;
 use calibrig_model::{
-    CalibrationModel, CraigLink, FourBar, JointKind, KinematicModel, LinkTerm, ModelError, ParameterId,
-    PoseQuery, TermId, TermPlace,
+    CalibrationModel, CraigLink, FourBar, KinematicModel, ModelError, ParameterId, PoseQuery, TermId,
+    TermPlace,
 };
-
-/// Why a robot cannot take a pose.
-pub type MachineError = ElasticError;
 
 /// The robot of a mode: it is given a [model](Self::set_model), [placed](Self::place) at the command of an observation, then asked for the
 /// target and, after [`differentiate`](Self::differentiate), for columns of the Jacobian.
 #[derive(Debug, Clone)]
-pub(super) struct Machine {
+pub(super) struct ForwardModel {
     nominal: CalibrationModel,
     kind: Kind,
     terms: Terms,
 }
 
 #[derive(Debug, Clone)]
-#[allow(clippy::large_enum_variant, reason = "one a fit: a pointer more would be followed at every pose")]
+#[allow(clippy::large_enum_variant, reason = "one per fit: another pointer would be followed at every pose")]
 enum Kind {
     /// Joints that follow the ideal map of the commands, with the predicted deflection of their drives if there is one.
-    Joints { chain: PlacedChain, predicted: Option<ElasticChain>, joints: Vec<f64> },
+    Joints { chain: KinematicChain, predicted: Option<ElasticChain>, joints: Vec<f64> },
     /// Joints that follow the `ideal` map, with the `predicted` deflections, which are not in the drives alone.
-    Frozen { chain: PlacedChain, ideal: ElasticChain, predicted: ElasticChain },
+    Frozen { chain: KinematicChain, ideal: ElasticChain, predicted: ElasticChain },
     /// The robot's own equilibrium, with the linkage closed.
     Elastic { chain: ElasticChain },
 }
@@ -37,7 +34,7 @@ enum Kind {
 /// An observation in the form that the machine needs.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Prepared {
-    /// Joint variables, or commands where the machine is elastic.
+    /// Joint variables, or commands where the robot yields by itself.
     command: Vec<f64>,
     /// Motion behind the fixed part of every link, where the deflections do not depend on the parameters.
     motions: Vec<Transform>,
@@ -68,7 +65,7 @@ struct Terms {
     columns: Vec<Vector3<f64>>,
 }
 
-impl Machine {
+impl ForwardModel {
     /// The machine of `mode` at the nominal model, which must be valid, without terms.
     pub fn new(mode: Mode, nominal: &CalibrationModel) -> Self {
         let kind = if mode.is_coupled() {
@@ -79,10 +76,10 @@ impl Machine {
             match predicted {
                 Some(predicted) if !is_elastic_in_drives_alone(nominal) => {
                     let ideal = ElasticChain::of(&with_ideal_map(nominal));
-                    Kind::Frozen { chain: PlacedChain::new(&nominal.kinematics), ideal, predicted }
+                    Kind::Frozen { chain: KinematicChain::new(&nominal.kinematics), ideal, predicted }
                 }
                 predicted => Kind::Joints {
-                    chain: PlacedChain::new(&nominal.kinematics),
+                    chain: KinematicChain::new(&nominal.kinematics),
                     predicted,
                     joints: vec![0.0; nominal.kinematics.joint_count()],
                 },
@@ -131,7 +128,7 @@ impl Machine {
     }
 
     /// Computes what does not change with the parameters for an observation.
-    pub fn prepare(&mut self, pose: &PoseQuery<'_>) -> Result<Prepared, MachineError> {
+    pub fn prepare(&mut self, pose: &PoseQuery<'_>) -> Result<Prepared, ElasticError> {
         let mut told = Prepared { command: pose.command.to_vec(), ..Prepared::default() };
         let payload = Carried::of(pose.payload);
         match &mut self.kind {
@@ -164,7 +161,7 @@ impl Machine {
     }
 
     /// Moves to the command of the observation.
-    pub fn place(&mut self, told: &Prepared) -> Result<(), MachineError> {
+    pub fn place(&mut self, told: &Prepared) -> Result<(), ElasticError> {
         match &mut self.kind {
             Kind::Joints { chain, .. } => chain.place(&told.command),
             Kind::Frozen { chain, .. } => chain.place_at(&told.motions),
@@ -178,7 +175,7 @@ impl Machine {
     }
 
     /// [`place`](Self::place) for a pose that was not prepared.
-    pub fn place_at(&mut self, pose: &PoseQuery<'_>) -> Result<Prepared, MachineError> {
+    pub fn place_at(&mut self, pose: &PoseQuery<'_>) -> Result<Prepared, ElasticError> {
         let told = self.prepare(pose)?;
         self.place(&told)?;
         Ok(told)
@@ -193,7 +190,7 @@ impl Machine {
     }
 
     /// Prepares the Jacobian's columns for that target.
-    pub fn differentiate(&mut self, in_flange: &Vector3<f64>, told: &Prepared) -> Result<(), MachineError> {
+    pub fn differentiate(&mut self, in_flange: &Vector3<f64>, told: &Prepared) -> Result<(), ElasticError> {
         match &mut self.kind {
             Kind::Joints { .. } | Kind::Frozen { .. } => {}
             Kind::Elastic { chain } => {
@@ -218,7 +215,7 @@ impl Machine {
     }
 
     /// Prepares the columns of the flange's rotation, in place of those of a target.
-    pub fn differentiate_turn(&mut self, told: &Prepared) -> Result<(), MachineError> {
+    pub fn differentiate_turn(&mut self, told: &Prepared) -> Result<(), ElasticError> {
         match &mut self.kind {
             Kind::Joints { .. } | Kind::Frozen { .. } => {}
             Kind::Elastic { chain } => {
@@ -255,24 +252,20 @@ impl Machine {
 
     /// Like [`by_command`](Self::by_command), for the flange's rotation, prepared by [`differentiate_turn`](Self::differentiate_turn), rad per unit.
     pub fn turn_by_command(&self, pose: &PoseQuery<'_>, tell: impl FnMut(usize, Vector3<f64>)) {
-        self.by_commands(pose, PlacedChain::turn, tell);
+        self.by_commands(pose, KinematicChain::turn, tell);
     }
 
     fn by_commands(
         &self,
         pose: &PoseQuery<'_>,
-        of_chain: impl Fn(&PlacedChain, ParameterId) -> Vector3<f64>,
+        of_chain: impl Fn(&KinematicChain, ParameterId) -> Vector3<f64>,
         mut tell: impl FnMut(usize, Vector3<f64>),
     ) {
         let links = &self.nominal.kinematics.links;
         match &self.kind {
             Kind::Joints { chain, .. } | Kind::Frozen { chain, .. } => {
                 let mut by_joint: Vec<Vector3<f64>> = (0..links.len())
-                    .map(|link| {
-                        let prismatic = links[link].kind == JointKind::Prismatic;
-                        let term = if prismatic { LinkTerm::D } else { LinkTerm::Theta };
-                        of_chain(chain, ParameterId::Link { link, term })
-                    })
+                    .map(|link| of_chain(chain, ParameterId::Link { link, term: chain.joint_term(link) }))
                     .collect();
                 // With a parallelogram, the shoulder's actuator turns the elbow back.
                 if let Some(drive) = self.nominal.actuators.elbow() {

@@ -1,9 +1,15 @@
-use nalgebra::{Matrix6, Rotation3, Vector6};
+mod element;
+mod ends;
+mod frame;
+
+use nalgebra::{Matrix6, Matrix6x3, Rotation3, Vector3, Vector6};
 use proptest::prelude::*;
 
 use super::*;
 use calibrig_model::geometry::{Transform, rotation_x, rotation_y, rotation_z, translation};
-use calibrig_model::{BeamRun, Section, SegmentLength};
+use calibrig_model::{Beam, BeamError, BeamRun, Section, SegmentLength};
+use ends::{end_compliance, end_stiffness, segment_groups};
+use frame::{Frame, FrameError};
 
 const TUBE: Section =
     Section { axial: 4e8, shear: [8e7, 9e7], torsion: 5e5, bending: [6e5, 7e5], mass_per_length: 20.0 };
@@ -36,8 +42,8 @@ fn assert_relative(found: f64, expected: f64) {
 /// The tip's displacement of a cantilever under a force and a moment there, and its own weight.
 fn cantilever(beam: &Beam, pieces: usize, wrench: [f64; 6], gravity: [f64; 3]) -> Vector6<f64> {
     let (mut frame, root, tip) = Frame::of_beam(beam, 0.0, pieces, &gravity.into()).unwrap();
-    frame.clamp(root).expect("a part of the frame");
-    frame.add_load(tip, &wrench.into()).expect("a part of the frame");
+    frame.clamp(root);
+    frame.add_load(tip, &wrench.into());
     let solution = frame.solve().unwrap();
     // The support carries everything.
     let weight = beam.mass(0.0) * Vector3::from(gravity);
@@ -154,9 +160,9 @@ fn a_beam_clamped_at_both_ends_bends_as_in_the_books() {
     let arm = beam(BeamRun::AlongX, &[(L, TUBE)]);
     let clamped = |gravity: f64, centre_load: f64| {
         let (mut frame, root, tip) = Frame::of_beam(&arm, 0.0, 4, &Vector3::new(0.0, gravity, 0.0)).unwrap();
-        frame.clamp(root).expect("a part of the frame");
-        frame.clamp(tip).expect("a part of the frame");
-        frame.add_load(2, &Vector6::new(0.0, centre_load, 0.0, 0.0, 0.0, 0.0)).expect("a part of the frame");
+        frame.clamp(root);
+        frame.clamp(tip);
+        frame.add_load(2, &Vector6::new(0.0, centre_load, 0.0, 0.0, 0.0, 0.0));
         let solution = frame.solve().unwrap();
         (solution.displacements[2][1], solution.reactions[root], solution.reactions[tip])
     };
@@ -178,8 +184,8 @@ fn a_propped_cantilever_leans_on_its_prop() {
         let (bending, shear) = (section.bending[1], section.shear[0]);
         let arm = beam(BeamRun::AlongX, &[(L, section)]);
         let (mut frame, root, tip) = Frame::of_beam(&arm, 0.0, 3, &Vector3::new(0.0, -9.81, 0.0)).unwrap();
-        frame.clamp(root).expect("a part of the frame");
-        frame.fix(tip, [false, true, false, false, false, false]).expect("a part of the frame");
+        frame.clamp(root);
+        frame.fix(tip, [false, true, false, false, false, false]);
         let solution = frame.solve().unwrap();
         let w = 9.81 * section.mass_per_length;
         let prop = w * (L.powi(4) / (8.0 * bending) + L * L / (2.0 * shear))
@@ -209,8 +215,8 @@ fn portal(turn: &Rotation3<f64>, column: &Section, girder: &Section) -> (Frame, 
     frame.add_element(nodes[0], nodes[1], column, &across).unwrap();
     frame.add_element(nodes[1], nodes[2], girder, &across).unwrap();
     frame.add_element(nodes[3], nodes[2], column, &across).unwrap();
-    frame.clamp(nodes[0]).expect("a part of the frame");
-    frame.clamp(nodes[3]).expect("a part of the frame");
+    frame.clamp(nodes[0]);
+    frame.clamp(nodes[3]);
     (frame, nodes[1], nodes[2])
 }
 
@@ -236,9 +242,7 @@ fn a_portal_sways_as_by_the_force_method_in_any_attitude() {
     for turn in [Rotation3::identity(), Rotation3::new(Vector3::new(0.4, -1.1, 2.0))] {
         let (mut frame, near, far) = portal(&turn, &TUBE, &THICK);
         let push = turn * Vector3::new(load, 0.0, 0.0);
-        frame
-            .add_load(near, &Vector6::new(push.x, push.y, push.z, 0.0, 0.0, 0.0))
-            .expect("a part of the frame");
+        frame.add_load(near, &Vector6::new(push.x, push.y, push.z, 0.0, 0.0, 0.0));
         let solution = frame.solve().unwrap();
         let expected = portal_sway(load, &TUBE, &THICK);
         for (node, expected) in [near, far].into_iter().zip(expected) {
@@ -266,10 +270,8 @@ fn an_inextensible_portal_sways_as_in_the_books() {
     let (mut frame, near, far) = portal(&Rotation3::identity(), &column, &girder);
     for corner in [near, far] {
         // Columns that keep their length; with half the load at either corner the girder keeps its own.
-        frame.fix(corner, [false, false, true, false, false, false]).expect("a part of the frame");
-        frame
-            .add_load(corner, &Vector6::new(0.5 * load, 0.0, 0.0, 0.0, 0.0, 0.0))
-            .expect("a part of the frame");
+        frame.fix(corner, [false, false, true, false, false, false]);
+        frame.add_load(corner, &Vector6::new(0.5 * load, 0.0, 0.0, 0.0, 0.0, 0.0));
     }
     let solution = frame.solve().unwrap();
     assert_relative(solution.displacements[far][0], sway);
@@ -381,8 +383,8 @@ proptest! {
             prop_assert!(forces.amax() < 1e-10 * ends.stiffness.amax());
         }
         // Both ends held: the supports take what the load comes to.
-        frame.clamp(root).expect("a part of the frame");
-        frame.clamp(tip).expect("a part of the frame");
+        frame.clamp(root);
+        frame.clamp(tip);
         let held = frame.solve().unwrap();
         for (row, node) in [root, tip].into_iter().enumerate() {
             let load = ends.load.fixed_rows::<6>(6 * row);
@@ -400,13 +402,13 @@ fn a_rigid_segment_is_a_rigid_group_and_no_element() {
     let (end, alone) = (end_compliance(&mixed, 0.0).unwrap(), beam(BeamRun::AlongX, &[(0.85, TUBE)]));
     let alone = end_compliance(&alone, 0.0).unwrap();
     assert!((end.compliance - alone.compliance).amax() < 1e-20 && (end.sag - alone.sag).amax() < 1e-16);
-    assert_eq!(end_stiffness(&mixed, 0.0, 1), Err(FrameError::NotElastic { from: 0, to: 1 }));
+    assert_eq!(end_stiffness(&mixed, 0.0, 1), Err(FrameError::NotElastic));
 }
 
 #[test]
 fn the_lumps_weigh_what_the_beam_does() {
     let arm = beam(BeamRun::EndsAtOrigin, &[(0.5, THICK), (0.85, TUBE)]);
-    let lumps: Vec<Lump> = segment_groups(&arm, 0.0).unwrap().iter().flat_map(|g| g.lumps).collect();
+    let lumps: Vec<LumpedMass> = segment_groups(&arm, 0.0).unwrap().iter().flat_map(|g| g.lumps).collect();
     let (m1, m2) = (0.5 * THICK.mass_per_length, 0.85 * TUBE.mass_per_length);
     assert_relative(lumps.iter().map(|l| l.mass).sum(), arm.mass(0.0));
     assert_relative(lumps.iter().map(|l| l.mass * l.from_root).sum(), m1 * 0.25 + m2 * (0.5 + 0.425));
@@ -417,15 +419,12 @@ fn what_cannot_stand_is_refused() {
     let arm = beam(BeamRun::AlongX, &[(L, TUBE)]);
     let (mut frame, root, tip) = Frame::of_beam(&arm, 0.0, 3, &Vector3::y()).unwrap();
     assert_eq!(frame.solve(), Err(FrameError::Mechanism));
-    frame.fix(root, [true, true, true, true, true, false]).expect("a part of the frame");
+    frame.fix(root, [true, true, true, true, true, false]);
     assert_eq!(frame.solve(), Err(FrameError::Mechanism));
-    assert_eq!(
-        frame.add_element(tip, tip, &TUBE, &Vector3::y()),
-        Err(FrameError::Degenerate { from: tip, to: tip })
-    );
-    assert!(matches!(frame.add_element(root, tip, &TUBE, &Vector3::x()), Err(FrameError::Degenerate { .. })));
+    assert_eq!(frame.add_element(tip, tip, &TUBE, &Vector3::y()), Err(FrameError::Degenerate));
+    assert!(matches!(frame.add_element(root, tip, &TUBE, &Vector3::x()), Err(FrameError::Degenerate)));
     let soft = Section { bending: [0.0, 1.0], ..TUBE };
-    assert!(matches!(frame.add_element(root, tip, &soft, &Vector3::y()), Err(FrameError::NotElastic { .. })));
+    assert!(matches!(frame.add_element(root, tip, &soft, &Vector3::y()), Err(FrameError::NotElastic)));
 
     let segments = vec![BeamSegment { length: SegmentLength::Extension(1.2), section: TUBE }];
     let telescope = Beam { run: BeamRun::EndsAtOrigin, segments };

@@ -1,4 +1,4 @@
-//! Elementary translations and rotations at a place, and the loads that they move.
+//! Elementary motions, and the frame that goes along a chain by them.
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
@@ -6,7 +6,7 @@ use calibrig_model::geometry::Transform;
 
 /// An elementary motion in the base frame: along an axis, or about one through a point.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Screw {
+pub(crate) struct Screw {
     pub about: bool,
     /// Unit vector.
     pub axis: Vector3<f64>,
@@ -29,98 +29,30 @@ impl Screw {
     pub fn moves_origin(&self) -> Vector3<f64> {
         if self.about { self.origin.cross(&self.axis) } else { self.axis }
     }
-}
 
-/// Constant forces at points: their sum, and the sum of `point · forceᵀ` about the base's origin.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Loads {
-    /// N
-    pub force: Vector3<f64>,
-    /// N m
-    pub moment: Matrix3<f64>,
-}
-
-impl Loads {
-    pub fn none() -> Self {
-        Self { force: Vector3::zeros(), moment: Matrix3::zeros() }
-    }
-
-    pub fn add(&mut self, lump: &Lump) {
-        self.force += lump.scale * lump.direction;
-        self.moment += lump.arm * lump.direction.transpose();
-    }
-
-    pub fn add_all(&mut self, other: &Self) {
-        self.force += other.force;
-        self.moment += other.moment;
-    }
-
-    /// How the moment of the loads turns when a screw inboard of them moves: `Σ (J c) × F`. Its product with the axis of another
-    /// rotation inboard is the mixed second derivative of the loads' potential, with its sign changed.
+    /// How a unit of the motion turns what it carries: a rotation vector.
     #[inline]
-    pub fn turned_by(&self, screw: &Screw) -> Vector3<f64> {
-        let a = &screw.axis;
-        if screw.about {
-            let shifted = self.moment.trace() - screw.origin.dot(&self.force);
-            self.moment * a - screw.origin * self.force.dot(a) - a * shifted
-        } else {
-            a.cross(&self.force)
-        }
-    }
-
-    /// The generalised force on a screw inboard of the loads, N or N m.
-    #[inline]
-    pub fn on(&self, screw: &Screw) -> f64 {
-        if screw.about {
-            let m = &self.moment;
-            let moment = Vector3::new(m[(1, 2)] - m[(2, 1)], m[(2, 0)] - m[(0, 2)], m[(0, 1)] - m[(1, 0)]);
-            screw.axis.dot(&(moment - screw.origin.cross(&self.force)))
-        } else {
-            screw.axis.dot(&self.force)
-        }
-    }
-}
-
-/// A load: `force = scale · direction` and `Σ point · forceᵀ = arm · directionᵀ`. A body has its mass as scale, its first moment as arm and
-/// gravity as direction, so that bodies without mass need no division.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Lump {
-    /// How many slots of the chain move it.
-    pub inboard: usize,
-    pub scale: f64,
-    pub arm: Vector3<f64>,
-    pub direction: Vector3<f64>,
-    /// Scale and arm of the reference model, per unit of the link's relative mass.
-    pub reference: (f64, Vector3<f64>),
-}
-
-impl Lump {
-    pub fn new(inboard: usize) -> Self {
-        Self {
-            inboard,
-            scale: 0.0,
-            arm: Vector3::zeros(),
-            direction: Vector3::zeros(),
-            reference: (0.0, Vector3::zeros()),
-        }
+    pub fn turns(&self) -> Vector3<f64> {
+        if self.about { self.axis } else { Vector3::zeros() }
     }
 }
 
 /// A frame that goes along the chain.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Walk {
+pub(crate) struct MovingFrame {
     /// Its axes in the base frame.
     pub axes: [Vector3<f64>; 3],
     /// Its origin in the base frame, m.
     pub origin: Vector3<f64>,
 }
 
-impl Walk {
+impl MovingFrame {
     pub fn from(frame: &Transform) -> Self {
         let axis = |j: usize| frame.rotation.matrix().column(j).into_owned();
         Self { axes: [axis(0), axis(1), axis(2)], origin: frame.translation.vector }
     }
 
+    /// Turns about an own axis.
     #[inline]
     pub fn turn(&mut self, axis: usize, (sin, cos): (f64, f64)) {
         let (i, j) = ((axis + 1) % 3, (axis + 2) % 3);
@@ -129,10 +61,14 @@ impl Walk {
         self.axes[j] = cos * z - sin * y;
     }
 
+    /// A vector of the frame in the base's axes.
+    #[inline]
     pub fn turned(&self, v: &Vector3<f64>) -> Vector3<f64> {
         self.axes[0] * v.x + self.axes[1] * v.y + self.axes[2] * v.z
     }
 
+    /// A point of the frame in the base frame.
+    #[inline]
     pub fn point(&self, v: &Vector3<f64>) -> Vector3<f64> {
         self.origin + self.turned(v)
     }
@@ -155,6 +91,14 @@ impl Walk {
         screw
     }
 
+    /// Goes through any motion.
+    pub fn go(&mut self, motion: &Transform) {
+        let columns = motion.rotation.matrix();
+        let column = |j: usize| self.turned(&columns.column(j).into_owned());
+        let axes = [column(0), column(1), column(2)];
+        *self = Self { axes, origin: self.point(&motion.translation.vector) };
+    }
+
     pub fn transform(&self) -> Transform {
         Transform::from_parts(
             self.origin.into(),
@@ -164,7 +108,7 @@ impl Walk {
 }
 
 /// A point of a frame as seen from in front of a step along (0..3) or about (3..6) an axis of that frame.
-pub(super) fn stepped(component: usize, by: f64, point: &mut Vector3<f64>) {
+pub(crate) fn stepped(component: usize, by: f64, point: &mut Vector3<f64>) {
     if component < 3 {
         point[component] += by;
         return;

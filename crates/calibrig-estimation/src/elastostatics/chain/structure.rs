@@ -4,11 +4,11 @@ use std::ops::Range;
 
 use nalgebra::Vector3;
 
-use super::screw::Lump;
+use super::loads::Load;
 use crate::elastostatics::beam::{SegmentGroup, segment_group};
+use crate::kinematics::joint_component;
 use calibrig_model::{
-    BeamRun, BeamSegment, BearingSide, CalibrationModel, CraigLink, FourBar, JointKind, SixStiffness,
-    StaticProperties,
+    BeamRun, BeamSegment, BearingSide, CalibrationModel, FourBar, SixStiffness, StaticProperties,
 };
 
 /// A place in the order of the chain.
@@ -24,12 +24,12 @@ pub(super) enum Slot {
 
 /// The elastic coordinates of one group: consecutive slots, and the component (0..3 along, 3..6 about) of each.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Group {
+pub(super) struct SpringGroup {
     pub first: usize,
     pub components: Vec<usize>,
 }
 
-impl Group {
+impl SpringGroup {
     /// The slot of a component, if it yields.
     pub fn slot(&self, component: usize) -> Option<usize> {
         self.components.iter().position(|c| *c == component).map(|i| self.first + i)
@@ -40,49 +40,25 @@ impl Group {
     }
 }
 
-/// The constants of a link's fixed part.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct FixedPart {
-    pub a: f64,
-    pub d: f64,
-    pub alpha: (f64, f64),
-    pub beta: (f64, f64),
-    pub theta: (f64, f64),
-}
-
-impl FixedPart {
-    pub fn new(link: &CraigLink) -> Self {
-        Self {
-            a: link.a,
-            d: link.d,
-            alpha: link.alpha.sin_cos(),
-            beta: link.beta.sin_cos(),
-            theta: link.theta.sin_cos(),
-        }
-    }
-}
-
 /// One uniform piece of a flexible link.
 #[derive(Debug, Clone)]
 pub(super) struct Segment {
-    pub group: Group,
+    pub group: SpringGroup,
     pub now: BeamSegment,
     pub reference: BeamSegment,
-    /// Springs and lumps at the pose, and those of the reference model.
+    /// Springs and lumped masses at the pose, and those of the reference model.
     pub springs: SegmentGroup,
     pub reference_springs: SegmentGroup,
 }
 
 /// One link with its joint.
 #[derive(Debug, Clone)]
-pub(super) struct Part {
-    pub kind: JointKind,
-    pub fixed: FixedPart,
+pub(super) struct ElasticLink {
     /// Slot in front of the joint, where the link's parameters act.
     pub terms: usize,
     pub side: BearingSide,
     pub bearing_at: f64,
-    pub bearing: Group,
+    pub bearing: SpringGroup,
     /// Slot of the drive's deflection.
     pub drive: usize,
     /// Slot behind the joint's motion, where corrections of the frame act.
@@ -99,24 +75,16 @@ pub(super) struct Part {
     /// What the body has beside its beam, at the pose.
     pub rigid: (f64, Vector3<f64>),
     pub reference_rigid: (f64, Vector3<f64>),
-    /// Index of the first of the body's lumps: what is rigid, then two a segment.
-    pub first_lump: usize,
-    /// Lump and place in the link's frame of the point loads.
-    pub loads: Vec<(usize, Vector3<f64>)>,
+    /// Index of the first of the body's loads: what is rigid, then two a segment.
+    pub first_load: usize,
+    /// Load and place in the link's frame of the point loads.
+    pub point_loads: Vec<(usize, Vector3<f64>)>,
 }
 
-impl Part {
-    /// 2 along z or 5 about z.
-    pub fn joint_component(&self) -> usize {
-        match self.kind {
-            JointKind::Prismatic => 2,
-            JointKind::Revolute => 5,
-        }
-    }
-
-    /// The body's lumps.
-    pub fn body_lumps(&self) -> Range<usize> {
-        self.first_lump..self.first_lump + 1 + 2 * self.segments.len()
+impl ElasticLink {
+    /// The loads of the body.
+    pub fn body_loads(&self) -> Range<usize> {
+        self.first_load..self.first_load + 1 + 2 * self.segments.len()
     }
 
     pub fn beam_slots(&self) -> Range<usize> {
@@ -127,18 +95,18 @@ impl Part {
     }
 }
 
-/// Slots and lumps of the elbow's four-bar, and its constants.
+/// Slots and loads of the elbow's four-bar, and its constants.
 #[derive(Debug, Clone)]
-pub(super) struct Loop {
+pub(super) struct ElbowLoop {
     pub shoulder: usize,
     pub elbow: usize,
     /// Slot of the crank drive's deflection.
     pub crank: usize,
     /// Slots in front of this one move the lever's end.
     pub reach: usize,
-    /// The lump at the lever's end.
-    pub lever_lump: usize,
-    /// The first lump that the elbow moves.
+    /// Index of the load at the lever's end.
+    pub lever_load: usize,
+    /// Index of the first load that the elbow moves.
     pub first_outboard: usize,
     pub four_bar: FourBar,
     /// Of the crank from psi: the map's offset and the elbow's theta, rad.
@@ -153,10 +121,10 @@ pub(super) struct Loop {
 
 /// The structure of a chain: everything whose number does not change with the parameters' values.
 pub(super) struct Structure {
-    pub parts: Vec<Part>,
+    pub links: Vec<ElasticLink>,
     pub slots: Vec<Slot>,
-    pub lumps: Vec<Lump>,
-    pub four_bar: Option<Loop>,
+    pub loads: Vec<Load>,
+    pub four_bar: Option<ElbowLoop>,
 }
 
 /// Which components of a group yield: those with a finite stiffness, without the joint's own axis.
@@ -167,12 +135,12 @@ fn yielding(stiffness: &SixStiffness, without: usize) -> Vec<usize> {
 impl Structure {
     /// Of the model that says which compliances exist.
     pub fn new(model: &CalibrationModel) -> Self {
-        let mut structure = Self { parts: Vec::new(), slots: Vec::new(), lumps: Vec::new(), four_bar: None };
+        let mut structure = Self { links: Vec::new(), slots: Vec::new(), loads: Vec::new(), four_bar: None };
         for index in 0..model.kinematics.joint_count() {
             structure.push(model, index);
         }
         // The payload's, behind all others.
-        structure.lump();
+        structure.load();
         structure
     }
 
@@ -181,27 +149,23 @@ impl Structure {
         self.slots.len() - 1
     }
 
-    fn group(&mut self, components: Vec<usize>) -> Group {
+    fn group(&mut self, components: Vec<usize>) -> SpringGroup {
         let first = self.slots.len();
         self.slots.extend(components.iter().map(|_| Slot::Elastic));
-        Group { first, components }
+        SpringGroup { first, components }
     }
 
-    fn lump(&mut self) -> usize {
-        self.lumps.push(Lump::new(self.slots.len()));
-        self.lumps.len() - 1
+    fn load(&mut self) -> usize {
+        self.loads.push(Load::new(self.slots.len()));
+        self.loads.len() - 1
     }
 
     fn push(&mut self, model: &CalibrationModel, index: usize) {
-        let link = &model.kinematics.links[index];
         let statics = model.statics.as_ref();
         let terms = self.mark();
-        let own_axis = match link.kind {
-            JointKind::Prismatic => 2,
-            JointKind::Revolute => 5,
-        };
+        let own_axis = joint_component(model.kinematics.links[index].kind);
         let bearing = statics.map(|s| s.bearings[index]).unwrap_or_default();
-        let mut group = Group::default();
+        let mut group = SpringGroup::default();
         if bearing.side == BearingSide::Fixed {
             group = self.group(yielding(&bearing.stiffness, own_axis));
         }
@@ -210,7 +174,7 @@ impl Structure {
             && shoulder == index
         {
             self.slots.push(Slot::Crank);
-            self.four_bar = Some(Loop::new(
+            self.four_bar = Some(ElbowLoop::new(
                 shoulder,
                 elbow,
                 offset + model.kinematics.links[elbow].theta,
@@ -224,36 +188,34 @@ impl Structure {
         if let Some(four_bar) = &mut self.four_bar
             && four_bar.elbow == index
         {
-            four_bar.first_outboard = self.lumps.len();
+            four_bar.first_outboard = self.loads.len();
         }
         let frame = self.mark();
         if bearing.side == BearingSide::Moving {
             group = self.group(yielding(&bearing.stiffness, own_axis));
         }
-        let first_lump = self.lump();
+        let first_load = self.load();
         let beam = statics.and_then(|s| s.beams[index].as_ref());
         let run = beam.map_or(BeamRun::AlongX, |b| b.run);
         let segments = beam.map_or(&[][..], |b| &b.segments).iter().map(|segment| {
-            self.lump();
+            self.load();
             let springs = segment_group(segment, 1.0, 0.0, run.axes());
             let group = self.group((0..6).filter(|c| springs.stiffness[*c].is_finite()).collect());
-            self.lump();
+            self.load();
             Segment { group, now: *segment, reference: *segment, springs, reference_springs: springs }
         });
         let segments = segments.collect();
         let all_loads = statics.map_or(&[][..], |s| &s.loads);
-        let loads = all_loads.iter().filter(|l| l.link == index).map(|l| (self.lump(), l.at)).collect();
+        let point_loads = all_loads.iter().filter(|l| l.link == index).map(|l| (self.load(), l.at)).collect();
         if self.four_bar.as_ref().is_some_and(|f| f.elbow == index) {
-            let lump = self.lump();
+            let load = self.load();
             let reach = self.slots.len();
             if let Some(four_bar) = &mut self.four_bar {
-                (four_bar.lever_lump, four_bar.reach) = (lump, reach);
+                (four_bar.lever_load, four_bar.reach) = (load, reach);
             }
         }
         let body = body_of(statics, index);
-        self.parts.push(Part {
-            kind: link.kind,
-            fixed: FixedPart::new(link),
+        self.links.push(ElasticLink {
             terms,
             side: bearing.side,
             bearing_at: bearing.at,
@@ -268,13 +230,13 @@ impl Structure {
             reference_body: body,
             rigid: body,
             reference_rigid: body,
-            first_lump,
-            loads,
+            first_load,
+            point_loads,
         });
     }
 }
 
-impl Loop {
+impl ElbowLoop {
     fn new(
         shoulder: usize,
         elbow: usize,
@@ -288,7 +250,7 @@ impl Loop {
             elbow,
             crank,
             reach: 0,
-            lever_lump: 0,
+            lever_load: 0,
             first_outboard: 0,
             four_bar: *four_bar,
             offset,

@@ -1,55 +1,27 @@
 //! Linear frames of beam elements in space.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3, Vector6};
-use thiserror::Error;
 
 use super::element::{self, Matrix12};
 use calibrig_model::{Beam, BeamError, Section};
 
 /// Why a frame cannot be built or solved.
-#[derive(Debug, Clone, Copy, PartialEq, Error)]
-#[non_exhaustive]
-pub enum FrameError {
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum FrameError {
     /// The flexible link is wrong.
-    #[error(transparent)]
-    Beam(#[from] BeamError),
+    Beam(BeamError),
     /// Both ends in one place, or the section's second axis along the element.
-    #[error("the element from node {from} to node {to} has no length or no direction for its section")]
-    Degenerate {
-        /// Index of the node at its root.
-        from: usize,
-        /// Index of the node at its tip.
-        to: usize,
-    },
+    Degenerate,
     /// Infinite stiffness other than in shear, or one that is not positive: there is no stiffness matrix.
-    #[error("the element from node {from} to node {to} is not elastic; only shear may be rigid")]
-    NotElastic {
-        /// Index of the node at its root.
-        from: usize,
-        /// Index of the node at its tip.
-        to: usize,
-    },
-    /// A node or an element that the frame does not have.
-    #[error("{what} {index}: the frame has {count}")]
-    Missing {
-        /// `node` or `element`.
-        what: &'static str,
-        /// Index asked for.
-        index: usize,
-        /// How many there are.
-        count: usize,
-    },
-    /// A load or a mass that is no number.
-    #[error("{what} is {value}: expected a finite number")]
-    NotFinite {
-        /// What it is.
-        what: &'static str,
-        /// The number.
-        value: f64,
-    },
+    NotElastic,
     /// It can move without being strained.
-    #[error("the frame is a mechanism: its supports and elements do not hold it")]
     Mechanism,
+}
+
+impl From<BeamError> for FrameError {
+    fn from(error: BeamError) -> Self {
+        Self::Beam(error)
+    }
 }
 
 #[derive(Debug, Clone)]
@@ -63,7 +35,7 @@ struct Element {
 
 /// A frame: nodes with six degrees of freedom, beam elements, supports and loads, all in one system of axes.
 #[derive(Debug, Clone, Default)]
-pub struct Frame {
+pub(super) struct Frame {
     nodes: Vec<Vector3<f64>>,
     elements: Vec<Element>,
     fixed: Vec<[bool; 6]>,
@@ -72,7 +44,7 @@ pub struct Frame {
 
 /// A loaded frame at rest, one entry a node: along x, y, z, then about them.
 #[derive(Debug, Clone, PartialEq)]
-pub struct FrameSolution {
+pub(super) struct FrameSolution {
     /// m, rad
     pub displacements: Vec<Vector6<f64>>,
     /// What the supports do to the frame, N and N m; zero (but for rounding) where nothing is fixed.
@@ -81,7 +53,7 @@ pub struct FrameSolution {
 
 /// A frame reduced to some of its nodes, six rows each: `stiffness · displacements = load + forces there`.
 #[derive(Debug, Clone, PartialEq)]
-pub struct CondensedFrame {
+pub(super) struct CondensedFrame {
     /// N/m, N, N m
     pub stiffness: DMatrix<f64>,
     /// What the loads of all nodes come to, N and N m.
@@ -98,10 +70,6 @@ impl Frame {
     }
 
     /// Joins two nodes rigidly by a uniform beam, whose section's second axis points to the side of `second_axis`; gives its index.
-    ///
-    /// # Errors
-    ///
-    /// [`FrameError::Degenerate`], [`FrameError::NotElastic`].
     pub fn add_element(
         &mut self,
         from: usize,
@@ -109,14 +77,10 @@ impl Frame {
         section: &Section,
         second_axis: &Vector3<f64>,
     ) -> Result<usize, FrameError> {
-        let degenerate = FrameError::Degenerate { from, to };
-        let run = self.nodes[self.node(to)?] - self.nodes[self.node(from)?];
-        if !(run.norm().is_finite() && second_axis.norm().is_finite()) {
-            return Err(degenerate);
-        }
-        let along = run.try_normalize(0.0).ok_or(degenerate)?;
+        let run = self.nodes[to] - self.nodes[from];
+        let along = run.try_normalize(0.0).ok_or(FrameError::Degenerate)?;
         let across = second_axis - along.dot(second_axis) * along;
-        let second = across.try_normalize(1e-9 * second_axis.norm()).ok_or(degenerate)?;
+        let second = across.try_normalize(1e-9 * second_axis.norm()).ok_or(FrameError::Degenerate)?;
         let frame_from_element = Matrix3::from_columns(&[along, second, along.cross(&second)]);
 
         let elastic = |stiffness: f64| stiffness > 0.0 && stiffness.is_finite();
@@ -124,7 +88,7 @@ impl Frame {
         if ![section.axial, section.torsion, about_second, about_third].into_iter().all(elastic)
             || !section.shear.into_iter().all(|s| s > 0.0)
         {
-            return Err(FrameError::NotElastic { from, to });
+            return Err(FrameError::NotElastic);
         }
         let turn = element::turn(&frame_from_element);
         let length = run.norm();
@@ -135,10 +99,6 @@ impl Frame {
 
     /// A beam at the joint variable `q`, free at both ends and loaded by its own weight in `gravity` (m/s²), in the link's frame, with `pieces`
     /// elements a segment (at least one); with its first and its last node.
-    ///
-    /// # Errors
-    ///
-    /// [`FrameError`].
     pub fn of_beam(
         beam: &Beam,
         q: f64,
@@ -157,7 +117,7 @@ impl Frame {
                 let at = from_root + length * piece as f64 / pieces as f64;
                 let next = frame.add_node(beam.point(at, q));
                 let element = frame.add_element(tip, next, &segment.section, &second_axis)?;
-                frame.add_uniform_load(element, &(segment.section.mass_per_length * gravity))?;
+                frame.add_uniform_load(element, &(segment.section.mass_per_length * gravity));
                 tip = next;
             }
             from_root += length;
@@ -165,48 +125,33 @@ impl Frame {
         Ok((frame, root, tip))
     }
 
-    /// The index of a node that is there.
-    fn node(&self, index: usize) -> Result<usize, FrameError> {
-        let count = self.nodes.len();
-        if index < count { Ok(index) } else { Err(FrameError::Missing { what: "node", index, count }) }
-    }
-
     /// Holds those of a node's displacements and rotations that are marked.
-    pub fn fix(&mut self, node: usize, fixed: [bool; 6]) -> Result<(), FrameError> {
-        let node = self.node(node)?;
+    pub fn fix(&mut self, node: usize, fixed: [bool; 6]) {
         self.fixed[node] = fixed;
-        Ok(())
     }
 
     /// Holds a node.
-    pub fn clamp(&mut self, node: usize) -> Result<(), FrameError> {
-        self.fix(node, [true; 6])
+    pub fn clamp(&mut self, node: usize) {
+        self.fix(node, [true; 6]);
     }
 
     /// Adds a force and a moment (N, N m) at a node.
-    pub fn add_load(&mut self, node: usize, load: &Vector6<f64>) -> Result<(), FrameError> {
-        let node = self.node(node)?;
-        finite("a load at a node", load.as_slice())?;
+    pub fn add_load(&mut self, node: usize, load: &Vector6<f64>) {
         self.loads[node] += load;
-        Ok(())
     }
 
     /// Adds a uniform force per length (N/m, in the frame's axes) along an element.
-    pub fn add_uniform_load(&mut self, element: usize, force: &Vector3<f64>) -> Result<(), FrameError> {
-        let count = self.elements.len();
-        let missing = FrameError::Missing { what: "element", index: element, count };
-        let element = self.elements.get(element).ok_or(missing)?;
-        finite("a load along an element", force.as_slice())?;
+    fn add_uniform_load(&mut self, element: usize, force: &Vector3<f64>) {
+        let element = &self.elements[element];
         let load = element::turn(&element.frame_from_element)
             * element::uniform_load(&element.frame_from_element.tr_mul(force), element.length);
         for (half, node) in element.nodes.into_iter().enumerate() {
             self.loads[node] += load.fixed_rows::<6>(6 * half);
         }
-        Ok(())
     }
 
     /// The stiffness of all nodes, without supports: six rows and columns a node.
-    pub fn stiffness(&self) -> DMatrix<f64> {
+    fn stiffness(&self) -> DMatrix<f64> {
         let mut stiffness = DMatrix::zeros(6 * self.nodes.len(), 6 * self.nodes.len());
         for element in &self.elements {
             for (i, row) in element.nodes.into_iter().enumerate() {
@@ -229,10 +174,6 @@ impl Frame {
     }
 
     /// The frame at rest under its loads, to first order.
-    ///
-    /// # Errors
-    ///
-    /// [`FrameError::Mechanism`].
     pub fn solve(&self) -> Result<FrameSolution, FrameError> {
         let (stiffness, load) = (self.stiffness(), self.load());
         let free: Vec<usize> = self.free().collect();
@@ -252,12 +193,7 @@ impl Frame {
 
     /// Static (Guyan) condensation to the nodes `kept`, in that order; exact in statics. Supports of the other nodes hold, those of kept
     /// nodes are left to whoever uses the result.
-    ///
-    /// # Errors
-    ///
-    /// [`FrameError::Mechanism`] where the other nodes are not held by the kept ones.
     pub fn condense(&self, kept: &[usize]) -> Result<CondensedFrame, FrameError> {
-        kept.iter().try_for_each(|node| self.node(*node).map(drop))?;
         let (stiffness, load) = (self.stiffness(), self.load());
         let ends: Vec<usize> = kept.iter().flat_map(|node| 6 * node..6 * node + 6).collect();
         let inner: Vec<usize> = self.free().filter(|dof| !kept.contains(&(dof / 6))).collect();
@@ -273,13 +209,6 @@ impl Frame {
         condensed.stiffness -= coupling.tr_mul(&solved.columns(0, ends.len()));
         condensed.load -= coupling.tr_mul(&solved.column(ends.len()));
         Ok(condensed)
-    }
-}
-
-fn finite(what: &'static str, values: &[f64]) -> Result<(), FrameError> {
-    match values.iter().find(|value| !value.is_finite()) {
-        Some(&value) => Err(FrameError::NotFinite { what, value }),
-        None => Ok(()),
     }
 }
 

@@ -1,19 +1,19 @@
-//! A rigid random walk seen through points at places that are unknown but stay: likelihood, smoothing, interpolation.
+//! A rigid random walk seen through fixed points at unknown places: likelihood, smoothing, interpolation.
 //!
-//! The state of the Kalman filter is the walk (displacement of the points' centroid, then the turn times the points' radius, all in m) and what the places
-//! are off by, without its rigid part, which is the walk's. Filter and smoother: H. E. Rauch, F. Tung, C. T. Striebel, AIAA J. 3 (1965) 1445.
+//! The state of the Kalman filter is the walk (displacement of the points' centroid, then the turn times the points' radius, all in m) and the errors
+//! of the places, without their rigid part, which is the walk's. Filter and smoother: H. E. Rauch, F. Tung, C. T. Striebel, AIAA J. 3 (1965) 1445.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix3, Matrix6, OMatrix, SMatrix, U3, Vector3, Vector6};
 
 use crate::statistics::{chi2_survival, f_ln_survival};
 
-/// Variance of a state before anything was seen, m²: a centimetre, which nothing that counts as drift comes near.
+/// Variance of a state before any reading, m²: a centimetre, far beyond any drift.
 pub(super) const BEFORE: f64 = 1e-4;
-/// Span of the walk over all its time within which its variance is looked for, m².
+/// Range of the walk's total variance that is searched, m².
 const SPANS: [f64; 2] = [1e-16, 1e-2];
-/// Points of the first look along each variance, one a decade.
+/// Points of the first search along each variance, one per decade.
 const DECADES: u32 = 14;
-/// Halvings of the interval in the second look: the variance is found within 2 %.
+/// Halvings of the interval in the second search: the variance is found within 2 %.
 const REFINEMENTS: usize = 10;
 
 /// One reading of a point.
@@ -29,13 +29,13 @@ pub(super) struct Sighting {
     pub noise: Matrix3<f64>,
 }
 
-/// Points, and how they were seen.
+/// Points and their readings.
 #[derive(Debug, Clone)]
-pub(super) struct Walk {
+pub(super) struct RandomWalk {
     sightings: Vec<Sighting>,
-    /// By the walk, one a seat.
+    /// By the walk, one per seat.
     rigid: Vec<SMatrix<f64, 3, 6>>,
-    /// By what the places are off by, three rows a seat.
+    /// By the errors of the places, three rows per seat.
     loose: DMatrix<f64>,
 }
 
@@ -52,23 +52,23 @@ pub(super) struct Knot {
     with_next: Matrix6<f64>,
 }
 
-/// What a walk's readings say.
+/// What the readings say about a walk.
 #[derive(Debug, Clone)]
 pub(super) struct Smoothed {
     pub knots: Vec<Knot>,
     /// m²/s, noise factor included.
     pub rates: Rates,
-    /// Variance of the readings over the one that was given.
+    /// Variance of the readings over the given one.
     pub noise_factor: f64,
     /// -2 ln of the likelihood, up to a constant.
     pub deviance: f64,
-    /// Of every sighting, ln of the probability that it is as far off by chance, by the others' scatter.
+    /// For every sighting, ln of the probability of so large an error by chance, given the others' scatter.
     ln_p: Vec<f64>,
     dof: f64,
-    /// What the places are off by, in the columns of `loose`, and its covariance.
+    /// The errors of the places, in the columns of `loose`, and their covariance.
     places: (DVector<f64>, DMatrix<f64>),
-    /// Covariance of the walk at the chosen knots with each other, six rows a knot in the order of time; of its difference from its mean over all
-    /// sightings: how far that is off is in the mean places.
+    /// Covariance of the walk at the chosen knots with each other, six rows per knot in the order of time; relative to its mean over all
+    /// sightings, whose error is in the mean places.
     pub joint: DMatrix<f64>,
 }
 
@@ -86,7 +86,7 @@ struct Step {
     covariance: DMatrix<f64>,
 }
 
-impl Walk {
+impl RandomWalk {
     /// `places` are those of the seats about their centroid, over their radius. `None` of points on one line.
     pub(super) fn new(places: &[Vector3<f64>], mut sightings: Vec<Sighting>) -> Option<Self> {
         sightings.sort_by(|a, b| a.time.total_cmp(&b.time));
@@ -120,7 +120,7 @@ impl Walk {
         6 + self.loose.ncols()
     }
 
-    /// Readings beyond those that the states take.
+    /// Readings beyond the number that the states need.
     pub(super) fn dof(&self) -> usize {
         (3 * self.sightings.len()).saturating_sub(self.states())
     }
@@ -152,7 +152,7 @@ impl Walk {
         jacobian
     }
 
-    /// The Kalman filter over all sightings; its steps are kept where asked for.
+    /// The Kalman filter over all sightings; its steps are kept if asked for.
     fn filter(&self, rates: Rates, keep: bool) -> Option<Filtered> {
         let mut mean = DVector::zeros(self.states());
         let mut covariance = DMatrix::identity(self.states(), self.states()) * BEFORE;
@@ -194,7 +194,7 @@ impl Walk {
         self.filter(rates, false).map_or(f64::INFINITY, |filtered| filtered.deviance)
     }
 
-    /// The variances of greatest likelihood; zero where a walk makes the readings no likelier.
+    /// The variances of greatest likelihood; zero if a walk makes the readings no likelier.
     fn most_likely(&self) -> Rates {
         let span = self.span();
         let mut rates = [0.0; 2];
@@ -250,8 +250,8 @@ impl Walk {
         chosen
     }
 
-    /// The walk of greatest likelihood, or none where `still`, with its joint covariance at the times `chosen` of sightings, ascending. `None` where the
-    /// readings do not tell it.
+    /// The walk of greatest likelihood, or none if `still`, with its joint covariance at the times `chosen` of sightings, ascending. `None` if the
+    /// readings do not determine it.
     pub(super) fn smooth(&self, still: bool, chosen: &[f64]) -> Option<Smoothed> {
         if self.dof() == 0 || !(self.span() > 0.0) {
             return None;
@@ -307,7 +307,7 @@ impl Walk {
         }
         smoothed.knots.reverse();
         let joint = joint.about_mean() * noise_factor;
-        // What is known before the first sighting is wide, and its rounding is not the same on both sides.
+        // The prior before the first sighting is wide, and its rounding is not symmetric.
         smoothed.joint = (&joint + joint.transpose()) * 0.5;
         Some(smoothed)
     }
@@ -325,7 +325,7 @@ impl Walk {
         if others > 0.0 && dof > 3.0 { f_ln_survival(squares / (3.0 * others), 3.0, dof - 3.0) } else { 0.0 }
     }
 
-    /// By how much (m) a sighting that [`smooth`](Self::smooth) was not told of is off, and ln of the probability of that.
+    /// Error (m) of a sighting that was withheld from [`smooth`](Self::smooth), and ln of its probability.
     pub(super) fn off(&self, told: &Smoothed, sighting: &Sighting) -> Option<(f64, f64)> {
         let (mean, covariance) = told.at(sighting.time)?;
         let rigid = &self.rigid[sighting.seat];
@@ -338,15 +338,15 @@ impl Walk {
     }
 }
 
-/// Covariance of the walk at chosen knots, filled from the last on: a state depends on what is behind it by the smoother's gain alone.
+/// Covariance of the walk at chosen knots, filled from the last on: a state depends on later ones only through the smoother's gain.
 struct Joint<'a> {
     chosen: &'a [f64],
     covariance: DMatrix<f64>,
-    /// Of the state here with the walk at the chosen knots behind it.
+    /// Of the state here with the walk at later chosen knots.
     across: DMatrix<f64>,
-    /// Of the state here with what the walk behind it is in the mean over all sightings.
+    /// Of the state here with the mean of the later walk over all sightings.
     behind: DMatrix<f64>,
-    /// Of that mean with the walk at the chosen knots, and by itself.
+    /// Of that mean with the walk at the chosen knots, and with itself.
     mean: DMatrix<f64>,
     of_mean: Matrix6<f64>,
 }
@@ -408,15 +408,15 @@ fn add_walk(covariance: &mut DMatrix<f64>, rates: Rates, passed: f64) {
 }
 
 impl Smoothed {
-    /// The sightings that are farthest off, the worst first, with ln of their probability.
+    /// The sightings with the largest errors, the worst first, with ln of their probability.
     pub(super) fn suspects(&self) -> Vec<(usize, f64)> {
         let mut all: Vec<_> = self.ln_p.iter().copied().enumerate().collect();
         all.sort_by(|a, b| a.1.total_cmp(&b.1));
         all
     }
 
-    /// The walk and its covariance at a time: between two readings of the walk the Brownian bridge, beyond the last it grows. `None` where
-    /// there is no knot.
+    /// The walk and its covariance at a time: a Brownian bridge between two readings of the walk, growing beyond the last. `None` without
+    /// knots.
     pub(super) fn at(&self, time: f64) -> Option<(Vector6<f64>, Matrix6<f64>)> {
         let behind = self.knots.partition_point(|knot| knot.time <= time);
         let grown = |passed: f64| {
@@ -437,8 +437,8 @@ impl Smoothed {
     }
 }
 
-/// Probability that readings without any walk are by chance as much likelier with one. The variances cannot be negative: Self & Liang, J. Am. Stat.
-/// Assoc. 82 (1987) 605.
+/// Probability that readings without any walk look as much likelier with one by chance. The variances cannot be negative: Self & Liang, J. Am.
+/// Stat. Assoc. 82 (1987) 605.
 pub(super) fn p_of_walk(still: f64, walking: f64) -> f64 {
     let gained = (still - walking).max(0.0);
     if gained == 0.0 { 1.0 } else { 0.5 * chi2_survival(gained, 1.0) + 0.25 * chi2_survival(gained, 2.0) }
