@@ -30,7 +30,7 @@ pub enum RasterError {
         field: &'static str,
         /// Value as stated, m.
         value: f64,
-        /// What it has to be.
+        /// What is expected.
         expected: &'static str,
     },
     /// A corner is not at a finite place.

@@ -544,7 +544,7 @@ pub enum Warning {
     },
 }
 
-/// Names a target or station in a sentence; one without a name is called by what it is.
+/// How a sentence calls a target or station: by its name, if it has one.
 fn called(what: &str, name: &str) -> String {
     match name {
         "" => format!("the {what}"),

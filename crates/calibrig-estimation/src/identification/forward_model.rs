@@ -1,4 +1,4 @@
-//! The machine behind a prediction: the chain of a mode, placed at one observation after the other.
+//! The forward model behind a prediction: the chain of a mode, placed at one observation after the other.
 
 use nalgebra::{Rotation3, Vector3};
 
@@ -31,10 +31,10 @@ enum Kind {
     Elastic { chain: ElasticChain },
 }
 
-/// An observation in the form that the machine needs.
+/// An observation in the form that the forward model needs.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Prepared {
-    /// Joint variables, or commands where the robot yields by itself.
+    /// Joint variables, or commands in the coupled modes.
     command: Vec<f64>,
     /// Motion behind the fixed part of every link, where the deflections do not depend on the parameters.
     motions: Vec<Transform>,
@@ -66,7 +66,7 @@ struct Terms {
 }
 
 impl ForwardModel {
-    /// The machine of `mode` at the nominal model, which must be valid, without terms.
+    /// The forward model of `mode` at the nominal robot, which must be valid, without terms.
     pub fn new(mode: Mode, nominal: &CalibrationModel) -> Self {
         let kind = if mode.is_coupled() {
             Kind::Elastic { chain: ElasticChain::of(nominal) }

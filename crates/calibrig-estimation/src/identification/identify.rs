@@ -66,7 +66,7 @@ pub enum IdentifyError {
         field: &'static str,
         /// Its value, SI.
         value: f64,
-        /// What it has to be.
+        /// What is expected.
         expected: &'static str,
     },
     /// The mode needs masses, stiffnesses and gravity, and the model has none.

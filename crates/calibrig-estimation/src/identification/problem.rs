@@ -143,7 +143,7 @@ impl Displacement {
 }
 
 impl Current {
-    /// Makes the problem; `machine` knows the terms, in the order of their parameters.
+    /// The model at the start; `forward` knows the terms, in the order of their parameters.
     pub fn new(
         nominal: &CalibrationModel,
         forward: ForwardModel,

@@ -63,9 +63,9 @@ pub enum InverseError {
     Number {
         /// Name of the number.
         field: &'static str,
-        /// As stated.
+        /// Value as stated.
         value: f64,
-        /// What it has to be.
+        /// What is expected.
         expected: &'static str,
     },
     /// The criterion asks for a deflection, but the robot's masses and stiffnesses are unknown.

@@ -96,7 +96,7 @@ pub enum PlanError {
         field: &'static str,
         /// Its value.
         value: f64,
-        /// What it has to be.
+        /// What is expected.
         expected: &'static str,
     },
     /// A pose is beyond the robot's limits.
