@@ -48,6 +48,7 @@ impl MeasurementFiles {
 ///
 /// - The delimiter (`,`, `;`, tab, `|` or blanks) is the one under which most columns of `map` are found; lines that begin with `#` or
 ///   `//`, blank lines, and lines in front of the header are skipped.
+///
 /// A row whose position is (0, 0, 0), or empty, is a missed shot: it is left out and reported in [`LoadedMeasurements::dropped`].
 /// - Without a pose column the rows count from 1; without a time column the time is 0; without station or target columns there is
 ///   one of each. Stations and targets are numbered in the order of their first appearance.
