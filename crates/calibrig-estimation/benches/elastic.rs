@@ -88,7 +88,7 @@ fn parameters() -> Vec<ParameterId> {
     ids.extend((0..7).map(|joint| ParameterId::Compliance(Compliance::Drive { joint })));
     ids.extend([2, 4].map(|link| ParameterId::Compliance(Compliance::Beam { link })));
     ids.extend((0..7).map(|link| ParameterId::Mass { link }));
-    ids.extend(LinkageTerm::ALL.map(ParameterId::Linkage));
+    ids.extend([LinkageTerm::Crank, LinkageTerm::Lever, LinkageTerm::Rod].map(ParameterId::Linkage));
     ids.extend((0..2).map(|axis| ParameterId::Target { target: 0, axis }));
     ids
 }

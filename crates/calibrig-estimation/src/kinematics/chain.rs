@@ -33,22 +33,23 @@ impl LinkConstants {
 
     /// Takes a frame through the link with this angle about z and this way along it, and tells where its parameters act.
     #[inline]
-    fn pass(&self, frame: &mut MovingFrame, sin_cos_theta: (f64, f64), d: f64) -> LinkAxes {
-        let (x, previous_origin) = (frame.axes[0], frame.origin);
+    fn pass(&self, frame: &mut MovingFrame, axes: &mut LinkAxes, sin_cos_theta: (f64, f64), d: f64) {
+        axes.x = frame.axes[0];
+        axes.previous_origin = frame.origin;
         frame.turn(0, self.sin_cos_alpha);
-        frame.origin += self.a * x;
-        let (y, origin) = (frame.axes[1], frame.origin);
+        frame.origin += self.a * frame.axes[0];
+        axes.y = frame.axes[1];
+        axes.origin = frame.origin;
         frame.turn(1, self.sin_cos_beta);
-        let z = frame.axes[2];
+        axes.z = frame.axes[2];
         frame.turn(2, sin_cos_theta);
-        frame.origin += d * z;
-        LinkAxes { x, previous_origin, y, z, origin }
+        frame.origin += d * frame.axes[2];
     }
 
     /// [`pass`](Self::pass) of the part in front of the joint's motion.
     #[inline]
-    fn pass_fixed_part(&self, frame: &mut MovingFrame) -> LinkAxes {
-        self.pass(frame, self.sin_cos_theta, self.d)
+    fn pass_fixed_part(&self, frame: &mut MovingFrame, axes: &mut LinkAxes) {
+        self.pass(frame, axes, self.sin_cos_theta, self.d);
     }
 }
 
@@ -123,6 +124,7 @@ impl KinematicChain {
     }
 
     /// Along z (2) or about z (5): how a link's joint moves it.
+    #[inline]
     pub fn joint_component(&self, link: usize) -> usize {
         joint_component(self.links[link].kind)
     }
@@ -143,7 +145,7 @@ impl KinematicChain {
                 JointKind::Revolute => ((link.theta + q).sin_cos(), link.d),
                 JointKind::Prismatic => (link.sin_cos_theta, link.d + q),
             };
-            *axes = link.pass(&mut frame, sin_cos_theta, d);
+            link.pass(&mut frame, axes, sin_cos_theta, d);
         }
         self.end(&frame);
     }
@@ -153,7 +155,7 @@ impl KinematicChain {
     pub fn place_at(&mut self, motions: &[Transform]) {
         let mut frame = self.start();
         for ((link, axes), motion) in self.links.iter().zip(&mut self.axes).zip(motions) {
-            *axes = link.pass_fixed_part(&mut frame);
+            link.pass_fixed_part(&mut frame, axes);
             frame.go(motion);
         }
         self.end(&frame);
@@ -167,7 +169,7 @@ impl KinematicChain {
     /// Takes a frame through what is in front of the motion of a link's joint.
     #[inline]
     pub fn pass_fixed_part(&mut self, link: usize, frame: &mut MovingFrame) {
-        self.axes[link] = self.links[link].pass_fixed_part(frame);
+        self.links[link].pass_fixed_part(frame, &mut self.axes[link]);
     }
 
     /// Puts the flange behind a frame that has passed all links.
@@ -236,6 +238,7 @@ impl KinematicChain {
 }
 
 /// Along z (2) or about z (5): how a joint moves its link.
+#[inline]
 pub(crate) fn joint_component(kind: JointKind) -> usize {
     match kind {
         JointKind::Prismatic => 2,

@@ -62,13 +62,11 @@ impl MovingFrame {
     }
 
     /// A vector of the frame in the base's axes.
-    #[inline]
     pub fn turned(&self, v: &Vector3<f64>) -> Vector3<f64> {
         self.axes[0] * v.x + self.axes[1] * v.y + self.axes[2] * v.z
     }
 
     /// A point of the frame in the base frame.
-    #[inline]
     pub fn point(&self, v: &Vector3<f64>) -> Vector3<f64> {
         self.origin + self.turned(v)
     }
