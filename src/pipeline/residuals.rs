@@ -1,4 +1,4 @@
-//! What every single reading is off from what an estimate predicts of it.
+//! Difference of every single reading from an estimate's prediction.
 
 use std::f64::consts::PI;
 
@@ -11,12 +11,12 @@ use calibrig_model::measurement::{MeasurementSet, Observation, Reading};
 /// A reading, measured minus predicted.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ObservationResidual {
-    /// In range (m), azimuth and elevation (rad), where the instrument read these.
+    /// In range (m), azimuth and elevation (rad), if the instrument read these.
     pub spherical: Option<Vector3<f64>>,
-    /// Root mean square of its three coordinates in standard deviations, with the covariance by which the fit weighs readings; `None` where that
-    /// has none.
+    /// Root mean square of its three coordinates in standard deviations, with the covariance by which the fit weighs readings; `None` without
+    /// one.
     pub standardised: Option<f64>,
-    /// What the reading counts for in the fit, from 1 down to 0; `None` where it was not fitted.
+    /// The reading's weight in the fit, from 1 down to 0; `None` if it was not fitted.
     pub weight: Option<f64>,
 }
 
