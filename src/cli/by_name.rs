@@ -231,7 +231,9 @@ fn text_of(mode: Mode, listed: &[ListedParameter]) -> String {
             ParameterState::Fitted { prior: Some(sigma), .. } => {
                 format!("fitted; prior 0 +- {}", shown(parameter.id.unit(), sigma))
             }
-            ParameterState::Fitted { has_prior: true, .. } => "fitted; the stated value is a prior".to_owned(),
+            ParameterState::Fitted { has_prior: true, .. } => {
+                "fitted; the stated value is a prior".to_owned()
+            }
             ParameterState::Fitted { .. } => "fitted".to_owned(),
             ParameterState::LeftOut(reason) => format!("left out: {}", reason.words()),
             ParameterState::NotChosen => "not chosen: fit it with --free".to_owned(),

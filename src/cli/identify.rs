@@ -400,8 +400,9 @@ fn bound(text: &str) -> Result<ParameterBound, String> {
     let expected = "expected a parameter and its limits, such as delta_a4=-5mm..5mm, delta_theta2=..3mrad or compliance_drive2=0..";
     let (name, limits) = text.split_once('=').ok_or(expected)?;
     let (lower, upper) = limits.split_once("..").ok_or(expected)?;
-    let id = ParameterId::parse(name)
-        .ok_or_else(|| format!("\"{name}\" is not the name of a parameter: expected {}", ParameterId::EXAMPLES))?;
+    let id = ParameterId::parse(name).ok_or_else(|| {
+        format!("\"{name}\" is not the name of a parameter: expected {}", ParameterId::EXAMPLES)
+    })?;
     let bound = ParameterBound {
         id,
         lower: limit(id, lower)?.unwrap_or(f64::NEG_INFINITY),
@@ -427,7 +428,9 @@ fn limit(id: ParameterId, text: &str) -> Result<Option<f64>, String> {
         _ if unit.is_empty() => {
             Err(format!("\"{text}\" of {id}: expected a number without unit, or nothing for an open end"))
         }
-        _ => Err(format!("\"{text}\" of {id}: expected a number of {unit}, such as 5{unit}, or nothing for an open end")),
+        _ => Err(format!(
+            "\"{text}\" of {id}: expected a number of {unit}, such as 5{unit}, or nothing for an open end"
+        )),
     }
 }
 

@@ -117,7 +117,8 @@ fn state_words(health: &Health) -> String {
         (State::Truncated, _) => "truncated: it ends in the middle".to_owned(),
         (State::Damaged, Some(at)) => format!("damaged at byte {at}"),
         (State::Damaged, None) => {
-            "damaged, but in no part that holds data: a checksum over the whole file does not match".to_owned()
+            "damaged, but in no part that holds data: a checksum over the whole file does not match"
+                .to_owned()
         }
     }
 }
@@ -130,9 +131,7 @@ pub(super) fn whole_words(health: &Health) -> &'static str {
     match (health.lost.contains_key(&Part::OpaqueChunk), health.holds_unprotected(), any) {
         (true, ..) => "whole, as far as it was checked: chunks of another compression were not",
         (_, false, true) => "whole: every part is there, and every checksum matches",
-        (_, true, true) => {
-            "whole: every part is there, and every checksum matches, but some parts have none"
-        }
+        (_, true, true) => "whole: every part is there, and every checksum matches, but some parts have none",
         (_, _, false) => "every part is there, but without a checksum changes would go unnoticed",
     }
 }

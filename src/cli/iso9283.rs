@@ -261,7 +261,9 @@ pub(super) fn help(failure: &Iso9283Failure) -> &'static str {
             "expected the rows of only one station: put those of each into a separate file"
         }
         Iso9283Failure::Cycles(Iso9283Error::TooFew { .. }) => "expected a smaller --cycles",
-        Iso9283Failure::Target { .. } => "expected --target with one of these names, or no --target for all of them",
+        Iso9283Failure::Target { .. } => {
+            "expected --target with one of these names, or no --target for all of them"
+        }
         Iso9283Failure::Hidden { .. } => {
             "expected poses that the first station sees: another --plane, or another cube (--cube-centre-mm, --cube-mm)"
         }

@@ -255,9 +255,7 @@ impl Work<'_> {
                 return self.interrupted(&folder, missing);
             }
             if !folder.is_complete() {
-                campaign::with_rows("building the table", &folder, |progress| {
-                    folder.complete(progress)
-                })?;
+                campaign::with_rows("building the table", &folder, |progress| folder.complete(progress))?;
             }
         }
         campaign::conclude(&folder, &self.args.answers, "trials.parquet")

@@ -217,7 +217,9 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
         |message: &str| -> ! { Cli::command().error(ErrorKind::MissingRequiredArgument, message).exit() };
     let accuracy = args.accuracy.or(args.accuracy_mm.map(|mm| 1e-3 * mm));
     if args.poses.is_none() && accuracy.is_none() {
-        misused("--poses N or --accuracy LENGTH: expected the number of poses, or the accuracy that they are to reach");
+        misused(
+            "--poses N or --accuracy LENGTH: expected the number of poses, or the accuracy that they are to reach",
+        );
     }
     let has_robot = args.model.is_some() || args.urdf.is_some();
     if args.scenario.is_none() && !has_robot && args.after.is_none() {

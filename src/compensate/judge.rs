@@ -138,8 +138,7 @@ pub(super) fn remarks(made: &Compensation, file: &EstimateFile, plan: &Compensat
     }
     if made.asked > 0 && made.points.iter().any(|point| point.point.is_some()) && made.sigmas().is_none() {
         remarks.push(
-            "the estimate has no covariance: the uncertainty of corrected points is unknown"
-                .to_owned(),
+            "the estimate has no covariance: the uncertainty of corrected points is unknown".to_owned(),
         );
     }
     if made.is_path {

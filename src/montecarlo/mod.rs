@@ -110,9 +110,7 @@ pub enum CampaignError {
         source: CaseError,
     },
     /// Too many machines are impossible.
-    #[error(
-        "{refused} of the first {drawn} drawn machines are impossible: their loops do not close"
-    )]
+    #[error("{refused} of the first {drawn} drawn machines are impossible: their loops do not close")]
     TooManyMachines {
         /// So many.
         refused: u64,

@@ -54,10 +54,7 @@ pub enum PosePlanError {
         joints: usize,
     },
     /// No pose in the working region.
-    #[error(
-        "the nominal robot can take none of {looked} poses of the working region{}",
-        reasons(refused)
-    )]
+    #[error("the nominal robot can take none of {looked} poses of the working region{}", reasons(refused))]
     NoRegion {
         /// Those that were tried.
         looked: usize,
@@ -89,7 +86,9 @@ impl PosePlanError {
             Self::NoRegion { .. } => {
                 "expected a region in which the robot can work: check its limits and shapes"
             }
-            Self::NoNumbers { .. } => "expected lower pose numbers in the measurements, for example counted from 1",
+            Self::NoNumbers { .. } => {
+                "expected lower pose numbers in the measurements, for example counted from 1"
+            }
             Self::Region { .. } => "expected the lowest and the highest variable of every joint",
             Self::OutOfReach { .. } => {
                 "expected a larger --accuracy, or --poses N for the best accuracy with that number; see the curve of calibrig \

@@ -504,7 +504,8 @@ fn remarks(
     }
     if cell.around.trackers.is_empty() {
         remarks.push(
-            "the tracker's place is unknown: every pose is taken as visible (--tracker-mm states the place)".to_owned(),
+            "the tracker's place is unknown: every pose is taken as visible (--tracker-mm states the place)"
+                .to_owned(),
         );
     } else if cell.around.hides.is_none() {
         remarks.push("lines of sight are taken as free, and reflectors as turned to the tracker".to_owned());
@@ -512,7 +513,9 @@ fn remarks(
     if !cell.around.obstacles.has_links() {
         remarks.push("the shapes of the links are unknown: they touch nothing and hide nothing".to_owned());
     } else if cell.around.obstacles.is_chain() {
-        remarks.push("the links are taken as capsules along the chain, because their shapes are unknown".to_owned());
+        remarks.push(
+            "the links are taken as capsules along the chain, because their shapes are unknown".to_owned(),
+        );
     }
     if cell.around.obstacles.floor().is_none() {
         remarks.push("no floor is stated: poses may be below it (--floor-mm)".to_owned());

@@ -140,14 +140,15 @@ pub(super) fn as_built(
         }
     };
     if robot.targets.len() > 1 {
-        let message =
-            format!("the robot's file states {} targets, but a simulation measures only one", robot.targets.len());
+        let message = format!(
+            "the robot's file states {} targets, but a simulation measures only one",
+            robot.targets.len()
+        );
         return Err(source.error(
             robot_key.span(),
             message,
             Some(
-                "expected one [target] in the robot's file, or the measured one as [target] here"
-                    .to_owned(),
+                "expected one [target] in the robot's file, or the measured one as [target] here".to_owned(),
             ),
         ));
     }

@@ -279,7 +279,8 @@ pub(super) fn campaign(source: &Source, section: &Spanned<CampaignFile>) -> Resu
     };
     refuse_shared(source, &file.factor, &plan.factors)?;
     if plan.layout != Layout::Plain && plan.factors.is_empty() {
-        let help = "expected a [[campaign.factor]] with a key of this file and its values, or design = \"plain\"";
+        let help =
+            "expected a [[campaign.factor]] with a key of this file and its values, or design = \"plain\"";
         return Err(source.error(section.span(), "campaign: nothing varies", Some(help.to_owned())));
     }
     if let Err(expected) = plan.design(None) {
@@ -316,7 +317,11 @@ fn size(source: &Source, file: &CampaignFile) -> Result<Option<u64>, InputError>
     match &file.levels {
         Some(levels) if file.design != Layout::Screening => {
             let help = "expected design = \"screening\", or levels in a [[campaign.factor]]";
-            Err(source.error(levels.span(), "campaign.levels belongs to another design", Some(help.to_owned())))
+            Err(source.error(
+                levels.span(),
+                "campaign.levels belongs to another design",
+                Some(help.to_owned()),
+            ))
         }
         _ => Ok(size),
     }
@@ -332,7 +337,11 @@ fn factor(source: &Source, layout: Layout, entry: &Spanned<FactorFile>) -> Resul
         (None, Some(keys)) if !keys.get_ref().is_empty() => keys.get_ref().iter().collect(),
         _ => {
             let help = "expected key = \"...\", or keys = [\"...\", \"...\"] of values that change together, such as \"tracker.random_fraction\"";
-            return refused(entry.span(), "campaign.factor: it does not state which value varies".to_owned(), help);
+            return refused(
+                entry.span(),
+                "campaign.factor: it does not state which value varies".to_owned(),
+                help,
+            );
         }
     };
     for key in &keys {
@@ -345,7 +354,11 @@ fn factor(source: &Source, layout: Layout, entry: &Spanned<FactorFile>) -> Resul
         }
         (None, Some(name)) => {
             let help = "expected levels = [...] in a sweep";
-            return refused(name.span(), "campaign.factor has a distribution, but a sweep needs levels".to_owned(), help);
+            return refused(
+                name.span(),
+                "campaign.factor has a distribution, but a sweep needs levels".to_owned(),
+                help,
+            );
         }
         _ => {
             let help = "expected levels = [...], or distribution = \"uniform\" with low and high; \"log_uniform\", \"normal\" with mean and sigma, \

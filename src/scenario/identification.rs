@@ -254,7 +254,8 @@ impl IdentificationFile {
                     let known = links.iter().filter(|link| link.kind == kind).map(|link| link.name.as_str());
                     let known = known.collect::<Vec<_>>().join(", ");
                     let help = Some(format!("expected some of: {known}"));
-                    let text = format!("identification.{key}: no actuator with this unit is named \"{name}\"");
+                    let text =
+                        format!("identification.{key}: no actuator with this unit is named \"{name}\"");
                     return Err(source.error(sigma.span(), text, help));
                 };
                 sigmas[place] = size * source.not_negative(&format!("identification.{key}.{name}"), sigma)?;
@@ -441,7 +442,11 @@ impl IdentificationFile {
     fn tolerance(&self, source: &Source) -> Result<Option<Tolerance>, InputError> {
         let alone = |given: &Spanned<f64>, key: &str, other: &str| {
             let help = Some(format!("expected {other} as well, or neither of them"));
-            Err(source.error(given.span(), format!("identification.{key} is given without its counterpart"), help))
+            Err(source.error(
+                given.span(),
+                format!("identification.{key} is given without its counterpart"),
+                help,
+            ))
         };
         match (&self.tolerance_mm, &self.tolerance_mrad) {
             (None, None) => Ok(None),

@@ -405,7 +405,10 @@ fn clear_region(
                    below them (--floor-mm)".to_owned());
         return region;
     }
-    told.push("no pose was found in which the links do not touch each other: poses are drawn without checking this".to_owned());
+    told.push(
+        "no pose was found in which the links do not touch each other: poses are drawn without checking this"
+            .to_owned(),
+    );
     let bare = Obstacles::none(room.kinematics);
     let free = Room { planes: &[], obstacles: &bare, ..*room };
     attempt(&free, &Built::default(), rng).unwrap_or_else(|| WorkingRegion {

@@ -317,9 +317,7 @@ fn rows_of_one_stop_are_one_pose() {
     let plain = sandbox.run(IDENTIFY.iter().chain(&["plain.csv", "--columns", "map.toml"]));
     let numbered = sandbox.run(IDENTIFY.iter().chain(&["numbered.csv", "--columns", "numbered.toml"]));
     assert!(
-        plain
-            .stderr
-            .contains("rows with the same command are one pose: 24 poses from 72 rows"),
+        plain.stderr.contains("rows with the same command are one pose: 24 poses from 72 rows"),
         "{}",
         plain.stderr
     );

@@ -501,8 +501,7 @@ fn what_is_not_to_be_trusted_is_marked_and_the_rest_is_kept() {
     );
     assert!(ended.stderr.contains("are less certain than 0.0001 mm (--trust-mm)"), "{}", ended.stderr);
     assert!(
-        ended.stdout.contains("extrapolated: ")
-            && ended.stdout.contains("outside the measured commands"),
+        ended.stdout.contains("extrapolated: ") && ended.stdout.contains("outside the measured commands"),
         "{}",
         ended.stdout
     );
@@ -665,7 +664,12 @@ fn what_cannot_be_corrected_is_refused_before_anything_is_written() {
         "{ended:?}"
     );
     sandbox.write("line.toml", "schema = \"calibrig.goals/1\"\n[raster]\ncorners_mm = [[0,0,0],[1,0,0],[2,0,0],[0,1,0]]\npitch_mm = 1\nspacing_mm = 1\nspeed_mm_per_s = 1\n");
-    refused(&ask("line.toml", &[]), "line.toml:3", "the corners do not form a panel", "in order around the panel");
+    refused(
+        &ask("line.toml", &[]),
+        "line.toml:3",
+        "the corners do not form a panel",
+        "in order around the panel",
+    );
     sandbox.write("flat.toml", "schema = \"calibrig.goals/1\"\n[grid]\nlow_mm = [0, 0, 0]\nhigh_mm = [100, 100, 0]\npoints = [2, 2, 2]\n");
     refused(
         &["compensate", "--estimate", "estimate.json", "--grid", "flat.toml"],

@@ -150,7 +150,10 @@ fn it_is_read_as_the_original_and_what_has_no_checksum_is_told() {
         (LZ4, "whole: every part is there, and every checksum matches"),
         (bare, "without a checksum changes would go unnoticed"),
         (Style { compression: Some(""), ..LZ4 }, "whole: every part is there, and every checksum matches"),
-        (Style { compression: Some(""), summary: false, ..bare }, "without a checksum changes would go unnoticed"),
+        (
+            Style { compression: Some(""), summary: false, ..bare },
+            "without a checksum changes would go unnoticed",
+        ),
         (Style { compression: None, ..LZ4 }, "whole: every part is there, and every checksum matches"),
         (Style { compression: None, ..bare }, "without a checksum changes would go unnoticed"),
         (Style { summary: false, ..LZ4 }, "whole: every part is there, and every checksum matches"),
@@ -232,7 +235,11 @@ fn its_compression_is_not_known() {
     assert!(!recovered.stdout.contains("next: "), "{}", recovered.stdout);
     let replayed = sandbox.run(["replay", "copy.mcap"]);
     assert_eq!((replayed.code, replayed.stdout.as_str()), (Some(1), ""));
-    assert!(replayed.stderr.contains("compressed with \"snappy\", which is not supported:"), "{}", replayed.stderr);
+    assert!(
+        replayed.stderr.contains("compressed with \"snappy\", which is not supported:"),
+        "{}",
+        replayed.stderr
+    );
     sandbox.write("copy.mcap", &unknown[..unknown.len() - 20]);
     let recovered = sandbox.run(["recover", "copy.mcap", "other.mcap"]);
     assert_eq!(recovered.code, Some(1), "{recovered:?}");

@@ -188,11 +188,7 @@ fn a_diagnosis_names_what_was_broken_and_what_applies_it() {
     let sound = diagnosed(&sandbox(&session(40)), 0, &[]);
     assert_eq!((&sound["kinds"], &sound["where"]), (&serde_json::json!(["sound"]), &serde_json::json!([])));
     assert!(sound["rms_m"].as_f64().is_some_and(|rms| rms < 5e-3));
-    told(
-        &diagnose(&sandbox(&session(40)), &[]),
-        0,
-        &["Sound: the robot fits the points as they were read"],
-    );
+    told(&diagnose(&sandbox(&session(40)), &[]), 0, &["Sound: the robot fits the points as they were read"]);
 
     let broken = |change: &dyn Fn(&mut Vec<Line>)| {
         let mut lines = session(40);

@@ -352,8 +352,22 @@ fn a_user_gives_a_key_or_a_joint_twice() {
     in_robot(
         ROBOT,
         &[
-            (WAIST, "d_mm", "d_mm = 626\nd_mm = 627", Below(1), "duplicate key `d_mm`", "every key only once"),
-            ("", "name = \"shoulder\"", WAIST, Same, "a second joint \"waist\"", "a different name for each joint"),
+            (
+                WAIST,
+                "d_mm",
+                "d_mm = 626\nd_mm = 627",
+                Below(1),
+                "duplicate key `d_mm`",
+                "every key only once",
+            ),
+            (
+                "",
+                "name = \"shoulder\"",
+                WAIST,
+                Same,
+                "a second joint \"waist\"",
+                "a different name for each joint",
+            ),
         ],
     );
     in_scenario(&[
@@ -978,9 +992,23 @@ fn a_user_has_a_mistake_in_a_column_map() {
             "joints.columns names 5 columns, but the robot has 6",
             "one column per joint",
         ),
-        ("[joints]", "columns", twice, Same, "column \"joint_5\" is named twice", "a different column for each"),
+        (
+            "[joints]",
+            "columns",
+            twice,
+            Same,
+            "column \"joint_5\" is named twice",
+            "a different column for each",
+        ),
         ("[joints]", "columns", "colums = []", Same, "unknown key `colums`", "`columns`"),
-        ("[joints]", "columns", "columns = 6", Same, "joints.columns names 1 columns", "one column per joint"),
+        (
+            "[joints]",
+            "columns",
+            "columns = 6",
+            Same,
+            "joints.columns names 1 columns",
+            "one column per joint",
+        ),
         ("[joints]", "columns", "columns = 6.5", Same, "joints.columns is 6.5", "a signed sum"),
         ("[position]", "unit", "", Header, "missing key `unit` in [position]", "unit = mm, m"),
         ("[position]", "unit", "unit = \"foot\"", Same, "position.unit is \"foot\"", "`mm`"),

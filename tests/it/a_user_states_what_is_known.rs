@@ -85,7 +85,12 @@ fn a_bound_that_cannot_be_is_refused_at_its_line() {
             "delta_a4 at most -5 mm excludes 0",
             "with 0 between them",
         ),
-        ("parameter = \"compliance_drive3\"\nmin = -2", 3, "begins at -2", "-1 is no compliance or mass at all"),
+        (
+            "parameter = \"compliance_drive3\"\nmin = -2",
+            3,
+            "begins at -2",
+            "-1 is no compliance or mass at all",
+        ),
         (
             "parameter = \"delta_d1\"\nmax_mm = 5\n[[identification.bound]]\nparameter = \"delta_d1\"\nmin_mm = -5",
             5,
@@ -170,8 +175,14 @@ fn a_bound_on_the_command_line_is_kept_or_refused() {
     for (bounds, message) in [
         (&["delta_a4"][..], syntax),
         (&["delta_a4=5mm"], syntax),
-        (&["delta_q4=0mm..5mm"], "\"delta_q4\" is not the name of a parameter: expected a name such as delta_a2"),
-        (&["delta_a4=-5..5mm"], "\"-5\" of delta_a4: expected a number of mm, such as 5mm, or nothing for an open end"),
+        (
+            &["delta_q4=0mm..5mm"],
+            "\"delta_q4\" is not the name of a parameter: expected a name such as delta_a2",
+        ),
+        (
+            &["delta_a4=-5..5mm"],
+            "\"-5\" of delta_a4: expected a number of mm, such as 5mm, or nothing for an open end",
+        ),
         (&["delta_a4=-5mrad..5mm"], "\"-5mrad\" of delta_a4: expected a number of mm"),
         (&["delta_theta4=..5mm"], "\"5mm\" of delta_theta4: expected a number of mrad"),
         (&["compliance_drive3=0..5%"], "\"5%\" of compliance_drive3: expected a number without unit"),
@@ -181,8 +192,14 @@ fn a_bound_on_the_command_line_is_kept_or_refused() {
         (&["delta_a4=5mm..-5mm"], "ends at -5 mm, which is not above its start at 5 mm"),
         (&["delta_a4=1mm..5mm"], "delta_a4 1 to 5 mm excludes 0, the nominal value"),
         (&["delta_a4=..5mm", "delta_a4=-5mm.."], "--bound delta_a4: delta_a4 has a second bound"),
-        (&["frame_x=-5mm..5mm"], "--bound frame_x: frame_x is relative to the best fit of the nominal robot to"),
-        (&["compliance_drive3=0.."], "compliance_drive3 is not fitted in any of the modes (only_calibration)"),
+        (
+            &["frame_x=-5mm..5mm"],
+            "--bound frame_x: frame_x is relative to the best fit of the nominal robot to",
+        ),
+        (
+            &["compliance_drive3=0.."],
+            "compliance_drive3 is not fitted in any of the modes (only_calibration)",
+        ),
     ] {
         let flags: Vec<_> = bounds.iter().flat_map(|bound| ["--bound", bound]).collect();
         let ended = identify(&flags);

@@ -250,5 +250,11 @@ fn what_is_wrong_with_a_campaign_is_told_at_its_place() {
     let arguments = ["montecarlo", SCENARIO, "--plant", "analytic", "--trials", "7", "--out", "out"];
     assert_refused(&sandbox, &arguments, "--trials", "does not fit", "a multiple of 3 trials");
     let arguments = ["run", SCENARIO, "--plant", "analytic", "--trial", "1000"];
-    assert_refused(&sandbox, &arguments, SCENARIO, "no trial 1000", "a trial number below the number of trials");
+    assert_refused(
+        &sandbox,
+        &arguments,
+        SCENARIO,
+        "no trial 1000",
+        "a trial number below the number of trials",
+    );
 }

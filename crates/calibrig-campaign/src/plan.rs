@@ -109,9 +109,7 @@ pub enum PlanError {
     #[error("'{}' is not UTF-8, which a job file must be: rename the folder or file", .0.display())]
     NotText(PathBuf),
     /// A line break would end a setting, or a comment.
-    #[error(
-        "{0:?} contains a control character, which a job file cannot hold: rename the folder or file"
-    )]
+    #[error("{0:?} contains a control character, which a job file cannot hold: rename the folder or file")]
     ControlCharacter(String),
     /// Tasks start in folders of their own.
     #[error("the path '{0}' is relative; a job file needs an absolute path")]

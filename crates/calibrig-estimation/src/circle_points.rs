@@ -172,7 +172,10 @@ pub fn place_by_sweeps(
     station: usize,
 ) -> Result<(SweptPlace, SweptStation), SweepError> {
     let Some(station) = set.stations.get(station) else {
-        return Err(SweepError::TooFew { station: (station + 1).to_string(), found: "no axis was found".to_owned() });
+        return Err(SweepError::TooFew {
+            station: (station + 1).to_string(),
+            found: "no axis was found".to_owned(),
+        });
     };
     let mut joints = vec![0.0; model.kinematics.joint_count()];
     if station.sweeps.iter().any(|reading| reading.command.len() != joints.len()) {

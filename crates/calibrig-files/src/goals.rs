@@ -179,7 +179,8 @@ impl GridTable {
         let held = match (&self.axis, rotation.read(source)?) {
             (Some(axis), Some(_)) => {
                 let help =
-                    "expected only one of them: the direction of the tool's axis, or its full rotation".to_owned();
+                    "expected only one of them: the direction of the tool's axis, or its full rotation"
+                        .to_owned();
                 return Err(source.error(axis.span(), "grid has both axis and a rotation", Some(help)));
             }
             (Some(axis), None) => {
@@ -224,8 +225,7 @@ pub fn parse_goal_file(source: Source) -> Result<GoalFile, InputError> {
     let raster = file.raster.map(|table| table.get_ref().read(&source)).transpose()?;
     let grid = file.grid.map(|table| table.get_ref().read(&source)).transpose()?;
     if raster.is_none() && grid.is_none() {
-        let help =
-            "expected [raster], a panel that the tool covers, or [grid], a box of points where offsets are wanted";
+        let help = "expected [raster], a panel that the tool covers, or [grid], a box of points where offsets are wanted";
         return Err(source.error(0..0, "the file has neither [raster] nor [grid]", Some(help.to_owned())));
     }
     Ok(GoalFile { source, raster, grid })

@@ -131,8 +131,7 @@ impl PayloadTable {
         let name = self.name.get_ref();
         if name.trim().is_empty() || name.trim() != name || name == NO_PAYLOAD {
             let message = format!("payload.name is {name:?}");
-            let help =
-                format!("expected a name without blanks at its ends, other than {NO_PAYLOAD:?}");
+            let help = format!("expected a name without blanks at its ends, other than {NO_PAYLOAD:?}");
             return Err(source.error(self.name.span(), message, Some(help)));
         }
         let forces = [&self.force_x_n, &self.force_y_n, &self.force_z_n];

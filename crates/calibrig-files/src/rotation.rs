@@ -38,7 +38,9 @@ pub enum RotationError {
         determinant: f64,
     },
     /// A matrix whose columns are not of length one, or not at right angles.
-    #[error("the matrix is not a rotation: its columns differ from unit vectors at right angles by {off:.1e}")]
+    #[error(
+        "the matrix is not a rotation: its columns differ from unit vectors at right angles by {off:.1e}"
+    )]
     NotOrthonormal {
         /// Largest element of its product with its transpose, less the identity.
         off: f64,

@@ -255,8 +255,7 @@ impl Reader<'_> {
                     "instrument {:?} is stated differently at station {:?}: {difference}",
                     stated.name, station.item.name
                 );
-                let expected =
-                    "the same errors wherever an instrument is named; or a different name for a different instrument";
+                let expected = "the same errors wherever an instrument is named; or a different name for a different instrument";
                 return Err(self.error(table.name.span(), message, expected));
             }
         }
@@ -447,8 +446,10 @@ impl Reader<'_> {
                 Ok(Matrix3::from_diagonal(&sigma.component_mul(&sigma)))
             }
             _ => {
-                let message =
-                    format!("nest {:?}: the uncertainty of its reading is missing or given twice", nest.name.get_ref());
+                let message = format!(
+                    "nest {:?}: the uncertainty of its reading is missing or given twice",
+                    nest.name.get_ref()
+                );
                 let expected = "either sigma_range_m, sigma_az_rad and sigma_el_rad, or covariance_m_rad";
                 Err(self.error(span, message, expected))
             }
@@ -482,7 +483,8 @@ impl SessionFile {
                     described.len(),
                     described.join(", ")
                 );
-                let help = format!("expected a column {what} in the measurement file, or only one [[{what}]]");
+                let help =
+                    format!("expected a column {what} in the measurement file, or only one [[{what}]]");
                 return Err(source.error(self.places(what, kind), message, Some(help)));
             }
             let message = format!("{what} {name:?} of the {} set is not described", kind.key());
@@ -525,8 +527,8 @@ impl SessionFile {
                     observation.pose,
                     other.name
                 );
-                let help =
-                    "expected only one of them: this table, or the payloads of the measurement file".to_owned();
+                let help = "expected only one of them: this table, or the payloads of the measurement file"
+                    .to_owned();
                 return Err(source.error(payload.place.clone(), message, Some(help)));
             }
             for observation in &mut set.observations {

@@ -62,10 +62,8 @@ pub fn state(
     let (stated, by) = match (by_session, robot_source) {
         (Some((_, source)), _) => {
             if let Some(robot_source) = robot_source.filter(|_| !robot.targets.is_empty()) {
-                remarks.push(format!(
-                    "targets are taken from {}, not from {}",
-                    source.name, robot_source.name
-                ));
+                remarks
+                    .push(format!("targets are taken from {}, not from {}", source.name, robot_source.name));
             }
             (names(files, |set| &set.targets), source.name.as_str())
         }
@@ -202,7 +200,11 @@ fn state_targets(
         let message =
             format!("the target has no name, but {} are measured: {}", measured.len(), listed(&measured));
         if first.sigma.is_some() {
-            return refused(first, message, "name = \"...\" with one of these, and [[target]] for each of several");
+            return refused(
+                first,
+                message,
+                "name = \"...\" with one of these, and [[target]] for each of several",
+            );
         }
         remarks.push(format!("{}: {message}; nothing is used from it", source.name));
         return Ok(matched);

@@ -633,7 +633,9 @@ fn units_of_header_and_map_do_not_contradict_each_other() {
     };
     let refused = parse("J1,J2,X [m],Y [mm],Z [mm]", BY_NAME).expect_err("m and mm").to_string();
     assert!(
-        refused.contains("m.csv:1: column X [m] is in m according to the header, but in mm according to the column map"),
+        refused.contains(
+            "m.csv:1: column X [m] is in m according to the header, but in mm according to the column map"
+        ),
         "{refused}"
     );
     let by_number = BY_NAME.replace("\"X\"", "3");

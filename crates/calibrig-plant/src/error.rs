@@ -40,7 +40,9 @@ pub enum PlantError {
         mass: f64,
     },
     /// An inertia matrix that is not symmetric.
-    #[error("the inertia of the body on joint index {joint} is asymmetric by {asymmetry} kg m²: expected a symmetric matrix")]
+    #[error(
+        "the inertia of the body on joint index {joint} is asymmetric by {asymmetry} kg m²: expected a symmetric matrix"
+    )]
     AsymmetricInertia {
         /// Index of the joint that carries the body.
         joint: usize,
@@ -134,7 +136,9 @@ pub enum PlantError {
         margin: f64,
     },
     /// A transmission between joints that the chain does not have.
-    #[error("the parallelogram joins joint indices {shoulder} and {elbow}, but the robot has {joints} joints")]
+    #[error(
+        "the parallelogram joins joint indices {shoulder} and {elbow}, but the robot has {joints} joints"
+    )]
     Transmission {
         /// Index of the shoulder.
         shoulder: usize,

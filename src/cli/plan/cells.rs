@@ -217,7 +217,9 @@ fn of_robot(args: &Args) -> Result<Read, CliError> {
         return of_files(args, robot);
     }
     if args.after.is_some() {
-        misused("--after with --model: expected --measurements with the measurements that the estimate was made from");
+        misused(
+            "--after with --model: expected --measurements with the measurements that the estimate was made from",
+        );
     }
     robot.remarks.iter().for_each(|remark| say(remark));
     let in_flange = robot.target().unwrap_or_else(|| {
@@ -462,7 +464,9 @@ impl Read {
         let placed = |station: &Station| register(station).ok().map(|found| found.tracker_from_base);
         let by_nests: Vec<_> = self.stated.stations.iter().map(placed).collect();
         if stands.is_some() && by_nests.iter().all(Option::is_some) {
-            misused("--tracker-mm: the session's nests already determine the tracker's place; expected no --tracker-mm");
+            misused(
+                "--tracker-mm: the session's nests already determine the tracker's place; expected no --tracker-mm",
+            );
         }
         by_nests.into_iter().map(|own| own.or(stands)).collect()
     }

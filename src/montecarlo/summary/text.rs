@@ -61,7 +61,8 @@ fn failures_text(text: &mut String, summary: &CampaignSummary) {
         let _ = writeln!(text, "  {} times, first in trial {}: {}", reason.count, reason.trial, reason.text);
     }
     if summary.reasons.len() > SHOWN {
-        let _ = writeln!(text, "  and {} other reasons: see the column reason", summary.reasons.len() - SHOWN);
+        let _ =
+            writeln!(text, "  and {} other reasons: see the column reason", summary.reasons.len() - SHOWN);
     }
 }
 

@@ -350,7 +350,8 @@ impl Reader<'_> {
         let joint = joint_index(self.source, &file.joint, self.chain())?;
         let link = &self.chain().links[joint];
         if joint != 0 || link.kind != JointKind::Prismatic {
-            let message = format!("effects.rail.joint \"{}\" is not a rail that carries the robot", link.name);
+            let message =
+                format!("effects.rail.joint \"{}\" is not a rail that carries the robot", link.name);
             return Err(self.refuse(file.joint.span(), message, "the first joint, a prismatic one"));
         }
         let gravity = self.robot.model.statics.as_ref().map(|statics| statics.gravity).unwrap_or_default();

@@ -323,11 +323,7 @@ fn refusals_name_the_key_the_joint_and_what_was_expected() {
             "the gap of joint \"elbow\" closes under 1000000 N m, and all",
         ),
         ("limits_nm = [300, 1500]", "limits_nm = [300, 200]", "limits_nm: 200 behind 300"),
-        (
-            "limits_nm = [300, 1500]",
-            "limits_nm = [300]",
-            "3 values of stiffness_percent for 1 of limits_nm",
-        ),
+        ("limits_nm = [300, 1500]", "limits_nm = [300]", "3 values of stiffness_percent for 1 of limits_nm"),
         ("limits_nm = [300, 1500]", "limits_n = [300, 1500]", "\"shoulder\" are not given by limits_nm"),
         ("[70, 95, 120]", "[70, 95, 90]", "stiffness_percent: 90 behind 95"),
         ("[70, 95, 120]", "[-70, 95, 120]", "stiffness_percent is -70"),

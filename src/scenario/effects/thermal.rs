@@ -44,7 +44,8 @@ pub(in crate::scenario) fn check_air(
     let (Some(thermal), Some(table)) = (&effects.thermal, &file.thermal) else { return Ok(()) };
     thermal.check_session(scenario.session().duration()).map_err(|error| {
         let [least, most] = AMBIENT_RANGE;
-        let help = format!("expected air of {least} to {most} degC throughout the session, or a shorter session");
+        let help =
+            format!("expected air of {least} to {most} degC throughout the session, or a shorter session");
         source.error(table.get_ref().air().span(), format!("effects.{error}"), Some(help))
     })
 }

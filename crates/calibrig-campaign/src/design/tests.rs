@@ -184,7 +184,10 @@ fn impossible_designs_are_refused_and_have_no_points() {
         assert_eq!((design.point(1, 0), design.step(1, 1)), (None, None));
     };
     refused(plain(0, 1, Sampling::Random), "the number of trials is 0; there must be at least one");
-    refused(plain(1 << 33, 1, Sampling::Random), "the study has 8589934592 draws; at most 4294967296 are possible");
+    refused(
+        plain(1 << 33, 1, Sampling::Random),
+        "the study has 8589934592 draws; at most 4294967296 are possible",
+    );
     refused(plain(1, 257, Sampling::Sobol), "257 factors vary; this design takes at most 256");
     let sweep = |levels: &[usize], repeats| Design::Sweep { levels: levels.to_vec(), repeats };
     refused(sweep(&[2, 0], 3), "the number of levels of a factor is 0; there must be at least one");
@@ -203,7 +206,10 @@ fn impossible_designs_are_refused_and_have_no_points() {
         screening(3, 2, 1 << 17),
         "a screening has 131072 levels; it needs an even number of at most 65536, such as 4",
     );
-    refused(screening(3, 2, 5), "a screening has 5 levels; it needs an even number of at most 65536, such as 4");
+    refused(
+        screening(3, 2, 5),
+        "a screening has 5 levels; it needs an even number of at most 65536, such as 4",
+    );
     refused(screening(3, 2, 0), "the number of levels is 0; there must be at least one");
     refused(screening(0, 2, 4), "the number of trajectories is 0; there must be at least one");
     refused(screening(3, 0, 4), "the number of factors is 0; there must be at least one");

@@ -297,9 +297,7 @@ fn read_manifest(folder: &Path) -> Result<Manifest, FolderError> {
         return Err(refused("it has no trials, no shards or no columns".to_owned()));
     }
     if manifest.shards > MOST_SHARDS || manifest.first.checked_add(manifest.trials).is_none() {
-        return Err(refused(format!(
-            "it has more than {MOST_SHARDS} shards, or too many trials"
-        )));
+        return Err(refused(format!("it has more than {MOST_SHARDS} shards, or too many trials")));
     }
     Ok(manifest)
 }

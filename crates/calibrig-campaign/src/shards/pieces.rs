@@ -110,7 +110,8 @@ impl Folder {
             let mut place = piece.range.start;
             table.for_each_row::<FolderError>(|row| {
                 if row.first() != Some(&Cell::count(place)) {
-                    let reason = format!("row {} does not belong to trial {place}", place - piece.range.start);
+                    let reason =
+                        format!("row {} does not belong to trial {place}", place - piece.range.start);
                     return Err(TableError::Parquet { path: piece.path.clone(), reason }.into());
                 }
                 if place == next && next < range.end {

@@ -36,7 +36,9 @@ impl TableReader {
                     Physical::INT64 => Kind::Integer,
                     Physical::DOUBLE => Kind::Number,
                     Physical::BYTE_ARRAY => Kind::Text,
-                    other => return Err(format!("column {} has the unsupported type {other}", column.name())),
+                    other => {
+                        return Err(format!("column {} has the unsupported type {other}", column.name()));
+                    }
                 };
                 if column.max_def_level() != 1 || column.max_rep_level() != 0 {
                     return Err(format!("column {} is not a plain column of optional values", column.name()));

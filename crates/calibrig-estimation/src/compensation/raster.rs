@@ -185,7 +185,9 @@ mod tests {
         assert!(told(&|r| r.corners[2].x = f64::NAN).starts_with("corner 3 is at (NaN, 0.5, 1)"));
         // Crossed, on one line, and the same twice.
         assert!(told(&|r| r.corners.swap(2, 3)).contains("do not form a panel"));
-        assert!(told(&|r| r.corners[2] = Vector3::new(1.0, 0.5, 0.5)).contains("do not form a panel at corner 3"));
+        assert!(
+            told(&|r| r.corners[2] = Vector3::new(1.0, 0.5, 0.5)).contains("do not form a panel at corner 3")
+        );
         assert!(told(&|r| r.corners[1] = r.corners[0]).contains("do not form a panel"));
         assert!(told(&|r| r.spacing = 1e-7).contains("choose a wider pitch"));
     }

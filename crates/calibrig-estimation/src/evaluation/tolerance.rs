@@ -354,7 +354,10 @@ mod tests {
         assert!((bound.confidence - (1.0 - 0.95_f64.powi(59))).abs() < 1e-12);
         let few = quantile_bound(&errors[..58], 0.95, 0.95).expect_err("too few");
         assert_eq!(few, ToleranceError::TooFew { found: 58, least: 59, coverage: 0.95, confidence: 0.95 });
-        assert!(few.to_string().contains("58 held-out errors give no bound on the 95.000000 % quantile"), "{few}");
+        assert!(
+            few.to_string().contains("58 held-out errors give no bound on the 95.000000 % quantile"),
+            "{few}"
+        );
     }
 
     /// Published one-sided factors (D. B. Owen 1962; ISO 16269-6, table of k for unknown mean and deviation).

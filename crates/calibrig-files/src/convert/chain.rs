@@ -209,10 +209,13 @@ impl Finder<'_> {
             roots.iter().copied().filter(|root| self.tree.joints.iter().any(|j| j.parent == *root)).collect();
         match (with_joints.as_slice(), roots.as_slice()) {
             ([root], _) => Ok(*root),
-            ([], _) => self.error(self.tree.span.clone(), "no joint connects two links", "a robot with joints"),
+            ([], _) => {
+                self.error(self.tree.span.clone(), "no joint connects two links", "a robot with joints")
+            }
             (several, _) => {
                 let names: Vec<_> = several.iter().map(|root| self.tree.links[*root].name.as_str()).collect();
-                let message = format!("{} links are not connected to any joint: {}", names.len(), listed(&names));
+                let message =
+                    format!("{} links are not connected to any joint: {}", names.len(), listed(&names));
                 self.error(self.tree.links[several[1]].span.clone(), message, "--base with one of them")
             }
         }

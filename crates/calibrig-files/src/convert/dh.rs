@@ -241,8 +241,7 @@ impl<'a> Table<'a> {
         };
         if is_in_degrees && twists().count() > 0 && twists().all(|alpha| right(alpha.to_degrees())) {
             doubtful.push(
-                "doubtful: the title of alpha says deg, but its values are right angles in rad"
-                    .to_owned(),
+                "doubtful: the title of alpha says deg, but its values are right angles in rad".to_owned(),
             );
         }
         if !is_in_degrees && twists().any(|alpha| alpha > TAU) {
@@ -340,8 +339,7 @@ impl<'a> Table<'a> {
             }
             (Some((JointKind::Revolute, place)), Some(_), _)
             | (Some((JointKind::Prismatic, place)), _, Some(_)) => {
-                let message =
-                    format!("the type of {name} contradicts the cell that holds its variable");
+                let message = format!("the type of {name} contradicts the cell that holds its variable");
                 return self.error(
                     place.clone(),
                     &message,
@@ -469,6 +467,10 @@ impl<'a> Table<'a> {
                 return refused(&format!("{text:?} is not a number"));
             }
         }
-        if value.number.is_finite() { Ok(value) } else { refused(&format!("{text:?} is not a finite number")) }
+        if value.number.is_finite() {
+            Ok(value)
+        } else {
+            refused(&format!("{text:?} is not a finite number"))
+        }
     }
 }

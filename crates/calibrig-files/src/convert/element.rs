@@ -78,7 +78,8 @@ pub(super) fn origin(source: &Source, element: Option<&Element>) -> Result<Trans
         Some(q) => {
             let quaternion = Quaternion::new(q[3], q[0], q[1], q[2]);
             if element.attribute("rpy").is_some() || !(0.5..2.0).contains(&quaternion.norm()) {
-                let message = "an <origin> with both rpy and quat_xyzw, or with a quaternion that is not a rotation";
+                let message =
+                    "an <origin> with both rpy and quat_xyzw, or with a quaternion that is not a rotation";
                 return Err(source.error(
                     element.span.clone(),
                     message,

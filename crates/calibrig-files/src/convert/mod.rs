@@ -119,9 +119,10 @@ pub fn robot_from_urdf(source: &Source, options: &UrdfOptions) -> Result<Convert
         let message = format!(
             "the table made from this URDF differs from it by {difference:.1e} m at some pose, so it was not written"
         );
-        let expected =
-            format!("expected a difference of at most {AGREEMENT:.0e} m; check that lengths are in m and that no joint is \
-                     kilometres away");
+        let expected = format!(
+            "expected a difference of at most {AGREEMENT:.0e} m; check that lengths are in m and that no joint is \
+                     kilometres away"
+        );
         return Err(source.error(tree.span.clone(), message, Some(expected)));
     }
     remarks.extend(faults);

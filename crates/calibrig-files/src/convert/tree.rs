@@ -231,7 +231,11 @@ impl Reader<'_> {
             let name = self.required(&node, "name")?;
             let span = self.place(tag(&node));
             if by_name.insert(name.clone(), links.len()).is_some() {
-                return self.error(span, format!("a second link named {name}"), "a different name for each link");
+                return self.error(
+                    span,
+                    format!("a second link named {name}"),
+                    "a different name for each link",
+                );
             }
             self.check_single(&node, &format!("link {name}"), &["inertial"])?;
             let inertial = child(&node, "inertial");
@@ -260,7 +264,11 @@ impl Reader<'_> {
                     "joint {} has the child link {}, which is already the child of joint {}",
                     joint.name, links[joint.child].name, joints[other].name
                 );
-                return self.error(joint.span, message, "one parent joint per link: a URDF cannot hold loops");
+                return self.error(
+                    joint.span,
+                    message,
+                    "one parent joint per link: a URDF cannot hold loops",
+                );
             }
             joints.push(joint);
         }

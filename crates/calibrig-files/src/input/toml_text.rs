@@ -116,13 +116,15 @@ impl Mistake<'_> {
             "wanted string or table" if is_literal => (value(), "a text in quotes".to_owned()),
             "invalid type: sequence" if expected == "a table" => {
                 let name = key.rsplit('.').next().unwrap_or_default();
-                let message =
-                    format!("{key} is a list ([[{key}]], or [ ] in brackets), but only one {name} is possible here");
+                let message = format!(
+                    "{key} is a list ([[{key}]], or [ ] in brackets), but only one {name} is possible here"
+                );
                 (message, format!("[{key}] in single brackets, once"))
             }
-            "invalid type: map" if expected.starts_with("a list") => {
-                (format!("{key} is a single table"), format!("[[{key}]] in double brackets, one table for each"))
-            }
+            "invalid type: map" if expected.starts_with("a list") => (
+                format!("{key} is a single table"),
+                format!("[[{key}]] in double brackets, one table for each"),
+            ),
             _ if is_literal && found.ends_with("overflowed") => (value(), "a finite number".to_owned()),
             _ if is_literal && WRONG_VALUE.iter().any(|start| found.starts_with(start)) => {
                 (value(), expected)

@@ -545,7 +545,8 @@ impl ColumnMap {
         let Some(mapping) = &self.mapping else { return Ok(()) };
         let (found, expected) = (mapping.joints.len(), joints.len());
         if found != expected {
-            let message = format!("joints.columns names {found} columns, but the robot has {expected} joints");
+            let message =
+                format!("joints.columns names {found} columns, but the robot has {expected} joints");
             let help = "expected one column per joint".to_owned();
             return Err(source.error(source.place_of("joints.columns"), message, Some(help)));
         }

@@ -145,9 +145,8 @@ impl Fields {
                 Some((index, Field::Position(_, unit))) => position[axis] = (index, unit),
                 _ => {
                     let message = format!("there is no column {name}; there are {}", columns.names());
-                    return Err(
-                        columns.refuse(message, &format!("{name}_mm or {name}_m; the columns known are {KNOWN}"))
-                    );
+                    return Err(columns
+                        .refuse(message, &format!("{name}_mm or {name}_m; the columns known are {KNOWN}")));
                 }
             }
         }
@@ -301,7 +300,9 @@ fn read(rows: Box<dyn Rows>) -> Result<GoalTable, InputError> {
             has_header: table.has_header,
             columns: &table.columns,
         };
-        return Err(columns.refuse("the file has no points", "one row per point below the names of the columns"));
+        return Err(
+            columns.refuse("the file has no points", "one row per point below the names of the columns")
+        );
     }
     let mut remarks = table.remarks();
     remarks.extend(cut.map(|place| {

@@ -442,7 +442,8 @@ impl<'a> Head<'a> {
         if self.map.is_some() || self.joints.is_some() || [range, azimuth, polar].into_iter().any(is_there) {
             return Ok(());
         }
-        let message = format!("column {} is missing, and so are all the other measured columns", range.written);
+        let message =
+            format!("column {} is missing, and so are all the other measured columns", range.written);
         let expected = format!(
             "columns x_m, y_m, z_m, or range_m, az_rad, el_rad next to the commands (a plan has none before it is measured); \
              found {}",

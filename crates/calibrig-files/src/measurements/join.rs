@@ -203,7 +203,8 @@ impl Joints {
                 if let (Some(own), Some(theirs)) = (times.kind(), key.kind())
                     && !theirs.is_comparable_with(own)
                 {
-                    let message = format!("the time is {}, but in {name} it is {}", theirs.words(), own.words());
+                    let message =
+                        format!("the time is {}, but in {name} it is {}", theirs.words(), own.words());
                     let expected = "times of one kind in both files: export them alike, or join by name or by row ([join])";
                     return Err(row.refuse(points, Some(key.first()), message, expected));
                 }
@@ -220,8 +221,7 @@ impl Joints {
             }
             _ => {
                 if !self.next(&mut own)? {
-                    let message =
-                        format!("{name} has fewer rows than {points}, and none for this one");
+                    let message = format!("{name} has fewer rows than {points}, and none for this one");
                     let expected = "as many rows in both files; or join the files by name or time ([join] in the column map)";
                     return Err(row.refuse(points, None, message, expected));
                 }
@@ -237,9 +237,9 @@ impl Joints {
     pub fn finish(&mut self, points: &str) -> Result<Option<String>, InputError> {
         let mut row = Row::default();
         if matches!(self.by, By::Row) && self.next(&mut row)? {
-            let message =
-                format!("{points} has fewer rows than {}, and none for this one", self.name);
-            let expected = "as many rows in both files; or join the files by name or time ([join] in the column map)";
+            let message = format!("{points} has fewer rows than {}, and none for this one", self.name);
+            let expected =
+                "as many rows in both files; or join the files by name or time ([join] in the column map)";
             return Err(row.refuse(&self.name, None, message, expected));
         }
         let By::Name { used, .. } = &self.by else { return Ok(None) };

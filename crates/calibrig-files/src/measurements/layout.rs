@@ -366,7 +366,8 @@ impl Table {
             }
         }
         let Some((place, cell)) = comma else { return Decimal::Point };
-        self.found.push(format!("{}: numbers have a decimal comma, for example {cell}", place.of(self.name())));
+        self.found
+            .push(format!("{}: numbers have a decimal comma, for example {cell}", place.of(self.name())));
         Decimal::Comma
     }
 }

@@ -157,7 +157,8 @@ pub fn parse_column_map(source: &Source) -> Result<ColumnMap, InputError> {
     if let Some(list) = &file.columns.approach
         && approach.len() != columns.len()
     {
-        let message = format!("approach names {} columns, but [joints] names {}", approach.len(), columns.len());
+        let message =
+            format!("approach names {} columns, but [joints] names {}", approach.len(), columns.len());
         return Err(reader.error(list.span(), message, "one column per actuator"));
     }
     let approach_from_order = matches!(file.rows.approach_from, Some(ApproachFrom::Order));

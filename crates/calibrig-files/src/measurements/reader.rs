@@ -364,7 +364,8 @@ impl<'r> Cells<'r> {
             _ if sets.verification.is_empty() => Ok(true),
             _ => {
                 let known: Vec<_> = sets.identification.iter().chain(&sets.verification).collect();
-                Err(self.refuse_cell(column, &format!("one of {known:?}, as [sets] of the column map states")))
+                Err(self
+                    .refuse_cell(column, &format!("one of {known:?}, as [sets] of the column map states")))
             }
         }
     }

@@ -63,7 +63,10 @@ pub(super) fn average(loaded: &mut LoadedMeasurements, numbers_poses: bool) -> R
     let groups = groups(observations, numbers_poses, false);
     let repeated = groups.iter().filter(|group| group.len() > 1).count();
     if repeated == 0 {
-        loaded.remarks.push("no pose is measured more than once, so there is nothing to average: use repeats = \"keep\"".to_owned());
+        loaded.remarks.push(
+            "no pose is measured more than once, so there is nothing to average: use repeats = \"keep\""
+                .to_owned(),
+        );
         return Ok(());
     }
     let (mut squares, mut free) = (0.0, 0);

@@ -235,7 +235,8 @@ fn a_map_that_does_not_fit_the_robot_is_refused() {
     };
     let both = map(position);
     assert!(
-        refusal(&both, &[JointKind::Revolute; 3]).contains("names 2 joint columns, but the robot has 3 joints")
+        refusal(&both, &[JointKind::Revolute; 3])
+            .contains("names 2 joint columns, but the robot has 3 joints")
     );
     let no_units = format!("schema = \"calibrig.columns/1\"\n[joints]\ncolumns = [\"s\", \"t\"]\n{position}");
     let no_units = parse_column_map(&Source::new("columns.toml", no_units)).expect("valid");

@@ -64,7 +64,9 @@ pub enum CsvError {
         value: i8,
     },
     /// Readings of several kinds in one set.
-    #[error("pose {pose}: a set must hold only spherical readings, only Cartesian readings, or only full poses")]
+    #[error(
+        "pose {pose}: a set must hold only spherical readings, only Cartesian readings, or only full poses"
+    )]
     #[diagnostic(help("expected readings of one kind; write those of each kind to a separate file"))]
     MixedReadings {
         /// First pose that differs from the poses before it.

@@ -53,7 +53,9 @@ impl Reader<'_> {
             let names = [&table.shoulder, &table.elbow].into_iter().flatten().map(Spanned::span);
             let linkage = table.linkage.as_ref().map(Spanned::span);
             return match names.chain(table.offset_deg.as_ref().map(Spanned::span)).chain(linkage).next() {
-                Some(span) => self.error(span, "kind = \"direct\" has no linkage", "kind = \"parallelogram\""),
+                Some(span) => {
+                    self.error(span, "kind = \"direct\" has no linkage", "kind = \"parallelogram\"")
+                }
                 None => Ok(ActuatorMap::Direct),
             };
         }
@@ -83,7 +85,8 @@ impl Reader<'_> {
             (Some(both), None, None) => (("angle_deg", both), ("angle_deg", both)),
             (None, Some(crank), Some(lever)) => (("crank_angle_deg", crank), ("lever_angle_deg", lever)),
             _ => {
-                let message = "[actuators.linkage] does not state the angle of crank and lever, or states it twice";
+                let message =
+                    "[actuators.linkage] does not state the angle of crank and lever, or states it twice";
                 return self.error(
                     table.span(),
                     message,

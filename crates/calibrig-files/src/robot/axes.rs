@@ -141,8 +141,10 @@ impl Reader<'_> {
             let next = &next.get_ref().joint;
             at = self.joint_named(joints, "follows.joint", next.get_ref(), next.span())?;
         }
-        let message =
-            format!("joint {:?} is in a circle of joints that follow each other", joints[axis].name.get_ref());
+        let message = format!(
+            "joint {:?} is in a circle of joints that follow each other",
+            joints[axis].name.get_ref()
+        );
         self.error(name.span(), message, "a chain that ends at a commanded joint")
     }
 
@@ -157,7 +159,11 @@ impl Reader<'_> {
             Some(index) => Ok(index),
             None => {
                 let names: Vec<_> = joints.iter().map(|joint| joint.name.get_ref().as_str()).collect();
-                self.error(span, format!("{key}: no joint is named {name:?}"), &format!("one of {}", names.join(", ")))
+                self.error(
+                    span,
+                    format!("{key}: no joint is named {name:?}"),
+                    &format!("one of {}", names.join(", ")),
+                )
             }
         }
     }

@@ -201,9 +201,11 @@ impl Reader<'_> {
             (Some(length), Some(_)) => {
                 self.error(length.span(), "both length_mm and housed_mm are given", "only one of the two")
             }
-            (None, None) => {
-                self.error(table.span(), "a segment without a length", "length_mm, or housed_mm of a telescope")
-            }
+            (None, None) => self.error(
+                table.span(),
+                "a segment without a length",
+                "length_mm, or housed_mm of a telescope",
+            ),
         }
     }
 

@@ -49,7 +49,11 @@ pub(super) struct JointTable {
 impl Reader<'_> {
     pub(super) fn kinematics(&self) -> Result<KinematicModel, InputError> {
         if self.file.joint.is_empty() {
-            return self.error(0..0, "the robot has no joint", "one table [[joint]] per joint, starting at the base");
+            return self.error(
+                0..0,
+                "the robot has no joint",
+                "one table [[joint]] per joint, starting at the base",
+            );
         }
         let mut links: Vec<CraigLink> = Vec::new();
         // A standard row's a and alpha stand in front of the next joint in Craig's table: Tx and Rx commute.
@@ -58,7 +62,11 @@ impl Reader<'_> {
             let mut link = self.link(table)?;
             if links.iter().any(|other| other.name == link.name) {
                 let span = table.get_ref().name.span();
-                return self.error(span, format!("a second joint {:?}", link.name), "a different name for each joint");
+                return self.error(
+                    span,
+                    format!("a second joint {:?}", link.name),
+                    "a different name for each joint",
+                );
             }
             if self.file.convention == Convention::Standard {
                 if let Some(beta) = &table.get_ref().beta_deg {
@@ -165,7 +173,8 @@ impl Reader<'_> {
         match without {
             Some(_) if stiffness.is_empty() => Ok(None),
             Some((table, key)) => {
-                let message = format!("joint {:?} has no {key}, but others have", table.get_ref().name.get_ref());
+                let message =
+                    format!("joint {:?} has no {key}, but others have", table.get_ref().name.get_ref());
                 self.error(table.span(), message, "a stiffness of every drive, or of none")
             }
             None => Ok(Some(stiffness)),

@@ -196,8 +196,10 @@ impl Reader<'_> {
                 self.error(span, "masses are given here and in the URDF", "only one of them")
             }
             None => {
-                let message =
-                    format!("joint {:?} has no [joint.body], but others have", table.get_ref().name.get_ref());
+                let message = format!(
+                    "joint {:?} has no [joint.body], but others have",
+                    table.get_ref().name.get_ref()
+                );
                 self.error(table.span(), message, "mass and centre of what every joint carries, or of none")
             }
         };

@@ -121,7 +121,11 @@ pub(super) fn read_targets(source: &Source, tables: &TargetTables) -> Result<Vec
                 ));
             }
             (Some(key), Some(name)) if targets.iter().any(|known| known.name.as_deref() == Some(name)) => {
-                return Err(refused(key.span(), format!("a second target {name:?}"), "a different name for each target"));
+                return Err(refused(
+                    key.span(),
+                    format!("a second target {name:?}"),
+                    "a different name for each target",
+                ));
             }
             _ => {}
         }

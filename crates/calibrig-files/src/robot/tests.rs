@@ -656,7 +656,10 @@ fn axes_and_bodies_that_cannot_be_are_refused() {
         ("[joint.shown]\noffset_mm = 3", "an offset in the other unit, that of joint \"swing\""),
         ("[joint.shown]\ncoupling = { slid = 1 }", "shown.coupling: no joint \"slid\""),
         ("[joint.shown]\ncoupling = { swing = 1 }", "couples joint \"swing\" with itself"),
-        ("[joint.follows]\njoint = \"swing\"", "joint \"swing\" is in a circle of joints that follow each other"),
+        (
+            "[joint.follows]\njoint = \"swing\"",
+            "joint \"swing\" is in a circle of joints that follow each other",
+        ),
         ("[joint.follows]\njoint = \"lift\"", "follows.joint: no joint \"lift\""),
         ("[joint.follows]\njoint = \"slide\"\n[joint.shown]\nsign = -1", "has both shown and follows"),
         ("[joint.body]\nmass_kg = 0\nx_mm = 0\ny_mm = 0\nz_mm = 0", "body.mass_kg is 0"),

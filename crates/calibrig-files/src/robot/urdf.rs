@@ -191,14 +191,18 @@ impl Reader<'_> {
         for (index, joint) in self.robot.joints.iter().enumerate() {
             for end in [&joint.parent, &joint.child] {
                 if self.link_index(&end.link).is_none() {
-                    let message = format!("joint {} names a link {} that does not exist", joint.name, end.link);
+                    let message =
+                        format!("joint {} names a link {} that does not exist", joint.name, end.link);
                     return Err(self.error(self.span("joint", index), message, "the name of a link"));
                 }
             }
             if let Some(child) = self.link_index(&joint.child.link)
                 && std::mem::replace(&mut carried[child], true)
             {
-                let message = format!("joint {} has a child link that is already the child of another joint", joint.name);
+                let message = format!(
+                    "joint {} has a child link that is already the child of another joint",
+                    joint.name
+                );
                 return Err(self.error(self.span("joint", index), message, "one parent joint per link"));
             }
         }

@@ -298,7 +298,11 @@ impl<'a> Scanner<'a> {
         let span = value_start..value_start + length;
         if attributes.iter().any(|(known, _)| *known == name) {
             let message = format!("a second {name} of <{element}>");
-            return Err(self.source.error(start..self.at, message, Some("expected only one of them".to_owned())));
+            return Err(self.source.error(
+                start..self.at,
+                message,
+                Some("expected only one of them".to_owned()),
+            ));
         }
         let Some((_, content)) = allowed.iter().find(|(allowed, _)| *allowed == name) else {
             let names: Vec<_> = allowed.iter().map(|(name, _)| *name).collect();

@@ -105,7 +105,11 @@ impl InstrumentTable {
         if let Some(value) = &self.range_scale_um_per_m {
             if self.range_scale_m_per_m.is_some() {
                 let message = "range_scale_um_per_m and range_scale_m_per_m state the same quantity";
-                return Err(source.error(value.span(), message, Some("expected only one of them".to_owned())));
+                return Err(source.error(
+                    value.span(),
+                    message,
+                    Some("expected only one of them".to_owned()),
+                ));
             }
             let scale = sigma("range_scale_um_per_m", value)? * 1e-6;
             terms.push((value.span().start, InstrumentTerm::RangeScale, scale));

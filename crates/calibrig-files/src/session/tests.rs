@@ -220,7 +220,10 @@ fn a_payload_is_that_of_every_pose_of_its_set() {
     assert_eq!(SetKind::ALL.map(force), [Some(200.0); 2]);
     // Stated twice: by the file of the measurements as well, or for one set.
     let twice = completed(plate, SetKind::Identification, Some(expected)).expect_err("twice").to_string();
-    assert!(twice.contains("session.toml:2: payload \"plate\" is said to be carried by all poses"), "{twice}");
+    assert!(
+        twice.contains("session.toml:2: payload \"plate\" is said to be carried by all poses"),
+        "{twice}"
+    );
     let both = parse(&format!("{plate}{rope}")).expect_err("both").to_string();
     assert!(both.contains("payloads \"plate\" and \"rope\" are both said to be carried"), "{both}");
     let other = rope.replace("force_z_n", "set = \"verification\"\nforce_z_n");
@@ -275,7 +278,10 @@ fn refusals_name_line_and_key() {
             "session.toml:5: covariance_m2 has -1e0 on its diagonal",
         ),
         ("[[dropped]]\nset = \"verification\"\npose = -1\nreason = \"r\"", "session.toml:4:"),
-        (&format!("{seen}{again}"), "session.toml:10: nest \"n\" appears twice, but not at two different times"),
+        (
+            &format!("{seen}{again}"),
+            "session.toml:10: nest \"n\" appears twice, but not at two different times",
+        ),
         (
             &format!("{seen}time_s = 1\n{again}time_s = 1\n"),
             "session.toml:11: nest \"n\" appears twice, but not at two different times",

@@ -229,7 +229,10 @@ mod tests {
         let skewed = Rotation3::from_matrix_unchecked(Matrix3::from_diagonal(&vector![1.0, 1.0, 1.1]));
         let has = |text: &str, part: &str| assert!(text.contains(part), "{text}");
         has(&told(&|_, pose| pose.rotation = mirrored), "pose 1: the axes of the rotation are left-handed");
-        has(&told(&|_, pose| pose.rotation = skewed), "pose 1: the three columns of the rotation differ from");
+        has(
+            &told(&|_, pose| pose.rotation = skewed),
+            "pose 1: the three columns of the rotation differ from",
+        );
         has(&told(&|_, pose| pose.covariance = Some(Matrix6::zeros())), "pose 1: the 6 x 6 covariance");
         has(
             &told(&|_, pose| {

@@ -31,7 +31,9 @@ pub enum RegistrationError {
         found: usize,
     },
     /// On one line.
-    #[error("the base nests lie on one line and do not determine the tracker's place: add a nest away from that line")]
+    #[error(
+        "the base nests lie on one line and do not determine the tracker's place: add a nest away from that line"
+    )]
     OnOneLine,
     /// A covariance that is missing or not positive definite.
     #[error(

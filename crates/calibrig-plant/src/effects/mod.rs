@@ -135,7 +135,9 @@ impl EffectKind {
             Self::Transmission => {
                 "waves of meshing gears, cycloid pins and screws along the output, which grow with the load"
             }
-            Self::LostMotion => "play of gears where the load decides the flank, once it exceeds the friction",
+            Self::LostMotion => {
+                "play of gears where the load decides the flank, once it exceeds the friction"
+            }
             Self::Stiffening => "drives that get stiffer with their load, range by range",
             Self::Friction => {
                 "hysteresis from friction that grows with the load and builds up over a presliding length"

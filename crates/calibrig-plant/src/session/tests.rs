@@ -290,7 +290,8 @@ fn a_reflector_that_looks_away_is_not_read() {
     assert!(!told.sets[0].measurements.observations.is_empty() && told.sets[0].dropped.len() > 20);
     for (_, why) in &told.sets[0].dropped {
         assert!(
-            why.starts_with("the beam meets the target at ") && why.ends_with("28.6 deg up to which it is returned"),
+            why.starts_with("the beam meets the target at ")
+                && why.ends_with("28.6 deg up to which it is returned"),
             "{why}"
         );
     }

@@ -41,9 +41,11 @@ impl Reader<'_> {
         match (&t.elevation, &t.zenith) {
             (Some(name), None) => Ok((self.sum(name)?, PolarAngle::Elevation)),
             (None, Some(name)) => Ok((self.sum(name)?, PolarAngle::Zenith)),
-            (Some(_), Some(zenith)) => {
-                Err(self.error(zenith.span(), "both elevation and zenith are given", "only one of elevation and zenith"))
-            }
+            (Some(_), Some(zenith)) => Err(self.error(
+                zenith.span(),
+                "both elevation and zenith are given",
+                "only one of elevation and zenith",
+            )),
             (None, None) => {
                 let message = format!("[{}] has neither elevation nor zenith", table.0);
                 Err(self.error(table.1.clone(), message, "only one of elevation and zenith"))
@@ -100,7 +102,11 @@ impl Reader<'_> {
             return Err(self.error(system.span(), message, "no key system here"));
         }
         if let Some(missed) = &t.missed {
-            return Err(self.error(missed.span(), "missed does not apply to an uncertainty", "missed in [position]"));
+            return Err(self.error(
+                missed.span(),
+                "missed does not apply to an uncertainty",
+                "missed in [position]",
+            ));
         }
         let coverage = self.coverage(t.k.as_ref())?;
         let Some(polar) = polar else {
@@ -139,8 +145,7 @@ impl Reader<'_> {
         let transverse =
             [size("transverse_um", &t.transverse_um)?, size("transverse_um_per_m", &t.transverse_um_per_m)?];
         if range == [0.0; 2] || transverse == [0.0; 2] {
-            let message =
-                "[noise] needs a size along the line of sight and one across it, each a + b R with the distance R";
+            let message = "[noise] needs a size along the line of sight and one across it, each a + b R with the distance R";
             let expected = "range_um or range_um_per_m, and transverse_um or transverse_um_per_m, above zero";
             return Err(self.error(spanned.span(), message, expected));
         }

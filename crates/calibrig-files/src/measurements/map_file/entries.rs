@@ -115,7 +115,11 @@ impl Reader<'_> {
             ));
         }
         if text.ends_with(" +") || text.ends_with(" -") {
-            return Err(self.error(span.clone(), "a sign without a column after it", "a name of the header line"));
+            return Err(self.error(
+                span.clone(),
+                "a sign without a column after it",
+                "a name of the header line",
+            ));
         }
         let (mut sign, mut rest) = match text.strip_prefix('-') {
             Some(rest) => (-1.0, rest),

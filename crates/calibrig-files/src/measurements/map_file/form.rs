@@ -91,7 +91,11 @@ impl Reader<'_> {
         }
         if let Some(widths) = &t.widths {
             if delimiter.is_some() {
-                return Err(self.error(widths.span(), "both delimiter and widths are given", "only one of them"));
+                return Err(self.error(
+                    widths.span(),
+                    "both delimiter and widths are given",
+                    "only one of them",
+                ));
             }
             if widths.get_ref().is_empty() || widths.get_ref().contains(&0) {
                 return Err(self.error(

@@ -43,8 +43,7 @@ impl Reader<'_> {
         };
         let rotation = self.rotation(table)?;
         if rotation.is_of_tracker && matches!(position, PositionColumns::Spherical { .. }) {
-            let message =
-                "tracker_in_target has a spherical position, but a tracker's range and angles are measured from the tracker";
+            let message = "tracker_in_target has a spherical position, but a tracker's range and angles are measured from the tracker";
             return Err(self.error(
                 table.span(),
                 message,
@@ -308,8 +307,9 @@ impl Reader<'_> {
             }
             (one, _) => {
                 let (missing, there) = if one.is_some() { ("back", "front") } else { ("front", "back") };
-                let message =
-                    format!("[face] says which texts mean the {there} face, but not which mean the {missing}");
+                let message = format!(
+                    "[face] says which texts mean the {there} face, but not which mean the {missing}"
+                );
                 return Err(self.error(
                     spanned.span(),
                     message,

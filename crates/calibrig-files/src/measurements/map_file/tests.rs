@@ -141,7 +141,14 @@ fn every_mistake_is_named_with_its_line_and_what_was_expected() {
             16,
             "no key",
         ),
-        (CARTESIAN, "[\"a1\", \"a2\"]", "[\"a1\"]", "approach names 1 columns, but [joints] names 2", 18, "actuator"),
+        (
+            CARTESIAN,
+            "[\"a1\", \"a2\"]",
+            "[\"a1\"]",
+            "approach names 1 columns, but [joints] names 2",
+            18,
+            "actuator",
+        ),
         (CARTESIAN, "pose", "number", "unknown key `number`", 17, "`pose`"),
         (SPHERICAL, "\"spherical\"", "\"cartesian\"", "range does not belong", 7, "alone"),
         (SPHERICAL, "zenith = \"Ze\"", "", "neither elevation nor zenith", 5, "one of"),
@@ -202,7 +209,10 @@ fn the_documented_map_is_valid() {
         .flat_map(|line| [line.trim_start_matches("//!"), "\n"])
         .collect();
     let map = parse(&documented).expect_err("approaches are stated in two ways");
-    assert!(map.to_string().contains("approach names columns, but [rows] has approach_from as well"), "{map}");
+    assert!(
+        map.to_string().contains("approach names columns, but [rows] has approach_from as well"),
+        "{map}"
+    );
     let documented = documented.replacen("approach = [", "# approach = [", 1);
     let map = parse(&documented).expect("as documented");
     let mapping = map.mapping().expect("named");

@@ -318,7 +318,9 @@ impl Cells<'_> {
             (BackAngles::Found, None) => return Ok(is_beyond),
             (BackAngles::Found, Some((is_raw, place))) => (
                 *is_raw,
-                format!("they are so in {place}; state with angles in [face] of the column map which they are"),
+                format!(
+                    "they are so in {place}; state with angles in [face] of the column map which they are"
+                ),
             ),
         };
         if expected == is_beyond {
@@ -413,11 +415,7 @@ impl Cells<'_> {
     }
 
     fn check_size(&self, column: usize, value: f64) -> Result<(), InputError> {
-        if value.is_finite() {
-            Ok(())
-        } else {
-            Err(self.refuse_cell(column, "a number of a plausible size"))
-        }
+        if value.is_finite() { Ok(()) } else { Err(self.refuse_cell(column, "a number of a plausible size")) }
     }
 }
 

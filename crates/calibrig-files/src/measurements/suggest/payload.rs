@@ -169,9 +169,11 @@ fn table(name: &str, is_mass: bool, unit: Option<(&'static str, f64)>) -> Vec<Sa
         (Some(mass), None) if is_mass => {
             Said::Key("mass_kg".to_owned(), mass.to_string(), "by its column, taken for kg".to_owned())
         }
-        (Some(mass), None) => {
-            open("mass_kg", &mass.to_string(), "in kg, or only a number in the load's name: weigh it to check")
-        }
+        (Some(mass), None) => open(
+            "mass_kg",
+            &mass.to_string(),
+            "in kg, or only a number in the load's name: weigh it to check",
+        ),
         (None, _) => match lower.strip_suffix("kg").and_then(number) {
             Some(mass) => open("mass_kg", &mass.to_string(), "by its name: weigh it to check"),
             None if NOTHING.contains(&lower.as_str()) => {

@@ -32,10 +32,8 @@ pub(super) fn of_air(file: &SeenFile) -> Vec<Said> {
     if let Some(column) = file.one(Role::Humidity) {
         let why = format!("{}; checked, but not used", reason(column));
         said.push(if column.numbers.most <= 1.0 {
-            let why = format!(
-                "up to {}: in %, or a fraction, which a map cannot read",
-                short(column.numbers.most)
-            );
+            let why =
+                format!("up to {}: in %, or a fraction, which a map cannot read", short(column.numbers.most));
             Said::Open("humidity_percent".to_owned(), entry(column), why)
         } else {
             Said::Key("humidity_percent".to_owned(), entry(column), why)

@@ -90,7 +90,8 @@ pub(super) fn stroke_unit(columns: &[&SeenColumn]) -> Told<LengthUnit> {
         ));
     }
     if SeenFile::numbers_of(columns).largest() > 100.0 {
-        let why = format!("{} slides, by its name, and goes to {size}: no rail is that many m long", first.header);
+        let why =
+            format!("{} slides, by its name, and goes to {size}: no rail is that many m long", first.header);
         return Told::Seen(LengthUnit::Mm, why);
     }
     Told::Open(format!(
@@ -215,7 +216,10 @@ pub(super) fn length_unit(
     if largest > 0.2 && largest <= 30.0 {
         return Told::Seen(
             LengthUnit::M,
-            format!("up to {}, looks like m: in mm, all points would be within a hand's width", short(largest)),
+            format!(
+                "up to {}, looks like m: in mm, all points would be within a hand's width",
+                short(largest)
+            ),
         );
     }
     Told::Open(format!("up to {}: m, mm and inch are all possible", short(largest)))

@@ -304,7 +304,8 @@ impl Writer<'_> {
         keys.push(("columns", format!("[{}]", entries.join(", ")), reasons(&columns)));
         let mut open: Vec<(&str, String, String)> =
             open.into_iter().map(|(key, value, why)| (key, quoted(value), why)).collect();
-        let why = "which frame is given in which: the target in the tracker's frame; or \"tracker_in_target\"";
+        let why =
+            "which frame is given in which: the target in the tracker's frame; or \"tracker_in_target\"";
         open.insert(0, ("transform", "\"target_in_tracker\"".to_owned(), why.to_owned()));
         if columns.len() == 3 {
             match angle_unit(&columns, "angles") {
@@ -421,7 +422,8 @@ impl Writer<'_> {
             self.key("pose", &column.entry(file.has_header), &reason(column));
         }
         if let Some(column) = file.one(Role::Name) {
-            let why = "different in every row, so not a target; use it as `pose` if rows of one pose share a name";
+            let why =
+                "different in every row, so not a target; use it as `pose` if rows of one pose share a name";
             let line = format!("# pose = {}", column.entry(file.has_header));
             self.line(&format!("{line:<33} # {}, {why}", reason(column)));
         }
@@ -432,9 +434,7 @@ impl Writer<'_> {
                 && file.rows > 1
                 && (column.many_texts || column.texts().len() as u64 == file.rows)
             {
-                self.line(&format!(
-                    "# {key} = {entry}: different in every row, so not a reflector's name"
-                ));
+                self.line(&format!("# {key} = {entry}: different in every row, so not a reflector's name"));
                 continue;
             }
             let names = column.texts();
@@ -516,10 +516,8 @@ impl Writer<'_> {
             self.undecided("within_s", "0.05", "how far apart the two times of one pose may be");
             return;
         }
-        let why = format!(
-            "{} rows of joints and {} of points, with no column in common",
-            joints.rows, points.rows
-        );
+        let why =
+            format!("{} rows of joints and {} of points, with no column in common", joints.rows, points.rows);
         self.undecided("by", "\"row\"", &why);
     }
 

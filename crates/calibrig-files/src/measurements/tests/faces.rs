@@ -39,11 +39,7 @@ fn raw_angles_of_the_back_face_become_the_direction_of_the_point() {
         assert_eq!((stated.set, stated.remarks.len()), (loaded.set, loaded.remarks.len() - 1));
     }
     let turned = mapped("s,t,F,R,Hz,V\n1,2,I,3,30,80\n1,2,II,3,30,80\n", &face_map("")).expect("valid");
-    assert!(
-        turned.remarks[0].contains("back-face angles are those of the point"),
-        "{:?}",
-        turned.remarks
-    );
+    assert!(turned.remarks[0].contains("back-face angles are those of the point"), "{:?}", turned.remarks);
 }
 
 #[test]
