@@ -7,9 +7,10 @@
 //!     └──────► CalibrationModel (nominal) ─────────────────────────────┘
 //! ```
 //!
-//! [`scenario`] describes both the truth and what is known of it; [`plant`] (rapier) and [`tracker`] turn the truth into a
-//! [`MeasurementSet`](measurement::MeasurementSet), the only thing that [`identification`] sees beside the nominal
-//! [`CalibrationModel`](model::CalibrationModel). Files and recordings of real robots enter at the same place. [`pipeline`] tells this story.
+//! [`scenario`] describes both the truth and what is known about it; [`plant`] (rapier) and [`tracker`] turn the truth into a
+//! [`MeasurementSet`](measurement::MeasurementSet), the only thing that [`identification`] sees besides the nominal
+//! [`CalibrationModel`](model::CalibrationModel). Files and recordings of real robots enter at the same place. [`pipeline`] connects the
+//! steps.
 //!
 //! # The equation
 //!
@@ -30,8 +31,8 @@
 //!
 //! # A robot in code
 //!
-//! An arm of four joints is stated, measured and identified. Nothing is known of the tracker's place, nor of where the target sits on the
-//! flange: the default options identify both, with a complete independent set of link parameters, and tell what they took to be so.
+//! The example states, measures and identifies an arm of four joints. The tracker's place and the target's place on the flange are
+//! unknown: the default options identify both, with a complete independent set of link parameters, and report their assumptions.
 //!
 //! ```
 //! use calibrig::identification::{IdentificationOptions, identify};
@@ -77,8 +78,8 @@
 //!
 //! # The same from files
 //!
-//! A robot's file states its table, limits and, where known, masses and stiffnesses, with the unit in every key; a file of measurements has
-//! calibrig's own columns, or those that a [`ColumnMap`](files::ColumnMap) names. Everything becomes SI and radians on the way in.
+//! A robot's file states its table, limits and, if known, masses and stiffnesses, with the unit in every key; a file of measurements has
+//! calibrig's own columns, or those that a [`ColumnMap`](files::ColumnMap) names. Everything is converted to SI and radians on reading.
 //!
 //! ```
 //! use calibrig::files::{ColumnMap, Source, load_robot, parse_measurements};

@@ -1,4 +1,4 @@
-//! The short story of a run: simulate, identify, evaluate.
+//! A run in short: simulate, identify, evaluate.
 
 mod ablation;
 mod acceptance;
@@ -68,53 +68,53 @@ pub use calibrig_plant::session::{
 use calibrig_plant::tracker::TrackerError;
 pub use calibrig_recording::{CarriedReport, InputSummary, Story};
 
-/// Everything that a run leaves behind.
+/// All results of a run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Outcome {
-    /// Where the measurements came from.
+    /// Origin of the measurements.
     pub input: InputSummary,
     /// The input files by role (`scenario`, `robot`, `urdf`, ...), as read.
     pub sources: Vec<(String, Source)>,
-    /// What identification was told beforehand.
+    /// What identification knew beforehand.
     pub model: CalibrationModel,
-    /// What the links look like; empty where unknown.
+    /// The shapes of the links; empty if unknown.
     pub visuals: Vec<Vec<Visual>>,
     /// How the row "without calibration" was registered.
     pub registration: RegistrationSummary,
     /// The sets as they were fitted, identification first.
     pub sets: Vec<SetOutcome>,
-    /// The same as they were measured, where a tracker's nests were measured more than once; else empty.
+    /// The same as measured, if a tracker's nests were measured more than once; else empty.
     pub as_measured: Vec<SetOutcome>,
-    /// What rounds of nests say of the trackers' own motion.
+    /// What rounds of nests say about the trackers' own motion.
     pub drift: Vec<StationDrift>,
-    /// Readings of measured poses that were planned and did not come, one vector a set; empty where that is not known.
+    /// Planned readings of measured poses that are missing, one vector per set; empty if unknown.
     pub missing: Vec<Vec<MissingReading>>,
-    /// File and row of every observation, one list a set; empty where they come from no file.
+    /// File and row of every observation, one list per set; empty if they come from no file.
     pub places: Vec<Vec<String>>,
     /// The modes in table order.
     pub modes: Vec<ModeOutcome>,
-    /// Only where simulated.
+    /// Only for simulations.
     pub truth: Option<Truth>,
-    /// How small errors could be, one entry a mode whose parameters all have a known truth; empty where nothing is known of it.
+    /// How small errors could be, one entry per mode whose parameters all have a known truth; empty if none has.
     pub bounds: Vec<TruthBounds>,
-    /// Published figures to print beside, metres: (set, mode, [max x, mean x, max y, mean y, max z, mean z]).
+    /// Published figures to print for comparison, metres: (set, mode, [max x, mean x, max y, mean y, max z, mean z]).
     pub published: Vec<(SetKind, Mode, [f64; 6])>,
-    /// How far the estimates can be trusted, one entry a mode with an estimate.
+    /// How far the estimates can be trusted, one entry per mode with an estimate.
     pub judgements: Vec<Judgement>,
-    /// What other targets would have told at the same poses; `None` where nothing can be compared.
+    /// What other targets would have determined at the same poses; `None` if nothing can be compared.
     pub sensors: Option<SensorStudy>,
-    /// What each part of the simulated machine contributes, where that was asked for.
+    /// What each part of the simulated machine contributes, if asked for.
     pub ablation: Option<Ablation>,
-    /// The modes on random splits of the identification set, where that was asked for.
+    /// The modes on random splits of the identification set, if asked for.
     pub splits: Option<SplitStudy>,
-    /// What corrected commands did on the machine, where the scenario asks for it.
+    /// The results of corrected commands on the machine, if the scenario asks for them.
     pub closed_loop: Option<ClosedLoop>,
-    /// The command line that gives the report, where the other fields do not tell it.
+    /// The command line that gives the report, if the other fields do not determine it.
     pub command: Option<String>,
 }
 
 impl Outcome {
-    /// What recorders are told of it.
+    /// What recorders receive.
     pub fn story(&self) -> Story<'_> {
         Story {
             input: &self.input,
@@ -131,26 +131,26 @@ impl Outcome {
     }
 }
 
-/// A run that cannot be carried out.
+/// Why a run cannot be carried out.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum PipelineError {
     /// The plant cannot be built, or a pose does not come to rest.
     #[error("the plant: {0}")]
     Plant(#[from] PlantError),
-    /// No machine can have these effects.
+    /// The machine's effects are invalid.
     #[error("the machine's effects: {0}")]
     Effects(#[from] EffectError),
     /// No pose of the machine can be drawn.
     #[error("the working region: {0}")]
     Region(#[from] RegionError),
-    /// No tracker can have these errors.
+    /// The tracker's errors are invalid.
     #[error("the tracker: {0}")]
     Tracker(#[from] TrackerError),
     /// The analytic machine does not come to rest.
     #[error("the analytic plant: {0}")]
     Analytic(#[from] calibrig_estimation::elastostatics::ElasticError),
-    /// The analytic machine is one without this effect.
+    /// The analytic machine does not support this effect.
     #[error("the analytic plant has no {} ([effects.{}])", effect.title(), effect.key())]
     BeyondAnalytic {
         /// Which.
@@ -159,10 +159,10 @@ pub enum PipelineError {
     /// The session as planned cannot be carried out.
     #[error("the session: {0}")]
     Session(#[from] PlanError),
-    /// Rounds of nests make no sense.
+    /// Rounds of nests are inconsistent.
     #[error(transparent)]
     Drift(#[from] DriftError),
-    /// The machine cannot take a pose.
+    /// The machine cannot reach a pose.
     #[error("{} set, pose {pose}: {source}", set.key())]
     Pose {
         /// The set that it is measured for.
@@ -172,7 +172,7 @@ pub enum PipelineError {
         /// Why.
         source: Box<PipelineError>,
     },
-    /// Whoever listened to the session ended it.
+    /// The listener ended the session.
     #[error("interrupted after {done} of {total} poses")]
     Interrupted {
         /// Poses done.
@@ -180,7 +180,7 @@ pub enum PipelineError {
         /// Poses planned.
         total: u32,
     },
-    /// The machine cannot take a place of a sweep.
+    /// The machine cannot reach a place of a sweep.
     #[error("place {} of the sweeps: {source}", place.saturating_add(1))]
     Sweep {
         /// Its number among those of all sweeps.
@@ -188,7 +188,7 @@ pub enum PipelineError {
         /// Why.
         source: Box<PipelineError>,
     },
-    /// A station that the sweeps shall place does not see enough of them.
+    /// A station that sweeps are to place sees too few of their places.
     #[error(
         "{station} reads {} of the {} places of the sweeps that are to place it (place {}: {why}); each of two sweeps needs \
          {LEAST_PLACES} places: move the station, turn the target, sweep another range (from_mm, to_mm or from_deg, to_deg), \
@@ -221,7 +221,7 @@ pub enum PipelineError {
         /// Why.
         source: TrackerError,
     },
-    /// The readings of a tool's points make no pose.
+    /// The readings of a tool's points do not make a pose.
     #[error("pose {pose}: {source}")]
     Combine {
         /// The pose.
@@ -229,7 +229,7 @@ pub enum PipelineError {
         /// Why.
         source: CombineError,
     },
-    /// The nominal robot does not lie on the points: the fit does not start.
+    /// The nominal robot does not fit the points: the fit does not start.
     #[error("{0}")]
     Implausible(Box<Implausible>),
     /// Commands cannot be corrected and driven.
@@ -257,9 +257,10 @@ impl<E: Into<Self>> From<SessionError<E>> for PipelineError {
     }
 }
 
-/// Simulates, identifies and evaluates a scenario: trial 0 of its campaigns. `progress` is told the number of poses done and of all poses.
+/// Simulates, identifies and evaluates a scenario: trial 0 of its campaigns. `progress` receives the number of poses done and of all
+/// poses.
 ///
-/// Where the scenario has `[compensation]`, the corrected commands are driven as well.
+/// If the scenario has `[compensation]`, the corrected commands are driven as well.
 pub fn run(scenario: &Scenario, seed: u64, progress: impl FnMut(u32, u32)) -> Result<Outcome, PipelineError> {
     let mut outcome = run_trial(scenario, seed, 0, PlantKind::Rapier, &mut counting(progress))?;
     outcome.closed_loop =
@@ -281,7 +282,7 @@ pub fn input_of(scenario: &Scenario, seed: u64, trial: u32, plant: PlantKind) ->
     }
 }
 
-/// The same of any trial, with what stands for the machine in the campaign, told to `listener` while it is measured.
+/// The same for any trial, with a choice of the machine's model, reported to `listener` while it is measured.
 pub fn run_trial(
     scenario: &Scenario,
     seed: u64,
@@ -350,7 +351,7 @@ impl InputHash {
         }
     }
 
-    /// Adds a file, which is not held as a whole.
+    /// Adds a file, piece by piece.
     ///
     /// # Errors
     /// It cannot be read.

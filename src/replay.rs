@@ -40,7 +40,7 @@ pub enum ReplayError {
     #[error("the recording holds no attachment \"robot/...\", the file of the robot that was measured")]
     #[diagnostic(help("expected a recording that holds its robot's file, or --model ROBOT.toml"))]
     NoRobot,
-    /// The nominal robot does not lie on the recorded points.
+    /// The nominal robot does not fit the recorded points.
     #[error("{0}")]
     #[diagnostic(help("{}", .0.help()))]
     Implausible(Box<Implausible>),
@@ -49,30 +49,30 @@ pub enum ReplayError {
     Pipeline(#[from] PipelineError),
 }
 
-/// What is to be different from what was recorded. Nothing by default.
+/// What should differ from the recording. Nothing by default.
 #[derive(Debug, Clone, Default)]
 pub struct ReplayOptions {
     /// What is fitted instead of the recorded rows; "without calibration" is always among them.
     pub modes: Vec<Mode>,
-    /// What a measurement far off the others costs.
+    /// The loss of a measurement far from the others.
     pub loss: Option<Loss>,
     /// Topics that are left out, each with all below it.
     pub dropped_topics: Vec<String>,
     /// The robot, instead of the recorded one.
     pub robot: Option<Robot>,
-    /// Whether to identify although the nominal robot does not lie on the recorded points.
+    /// Whether to identify even if the nominal robot does not fit the recorded points.
     pub fit_anyway: bool,
 }
 
 impl ReplayOptions {
-    /// Whether anything may come out differently.
+    /// Whether anything may differ.
     fn changes_anything(&self) -> bool {
         let harmless = |topic: &String| topic.starts_with("/estimate") || topic.starts_with("/truth");
         self.loss.is_some() || self.robot.is_some() || !self.dropped_topics.iter().all(harmless)
     }
 }
 
-/// Where a replayed estimate is not the recorded one.
+/// Where a replayed estimate differs from the recorded one.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Difference {
     /// None was recorded.
@@ -107,7 +107,7 @@ pub enum Difference {
     },
 }
 
-/// What made the recorded estimates.
+/// The program of the recorded estimates.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct MadeBy {
     /// Name and version of the program.
@@ -136,14 +136,14 @@ pub struct ParameterChange {
     pub mode: Mode,
     /// Name of the parameter.
     pub name: String,
-    /// Recorded and replayed value, SI; `None` where that estimate does not have the parameter.
+    /// Recorded and replayed value, SI; `None` if that estimate does not have the parameter.
     pub values: [Option<f64>; 2],
     /// Recorded and replayed standard deviation, SI; `None` from a singular system as well.
     pub sigmas: [Option<f64>; 2],
 }
 
 impl ParameterChange {
-    /// Replayed minus recorded value, in replayed standard deviations, or recorded ones where there are no others.
+    /// Replayed minus recorded value, in replayed standard deviations, or in recorded ones if there are no others.
     pub fn in_sigmas(&self) -> Option<f64> {
         let [recorded, replayed] = self.values;
         let sigma = self.sigmas[1].or(self.sigmas[0]).filter(|sigma| *sigma > 0.0)?;
@@ -154,27 +154,27 @@ impl ParameterChange {
 /// A replay and its comparison.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Replayed {
-    /// As of a run, without the truth.
+    /// As for a run, without the truth.
     pub outcome: Outcome,
-    /// What the measurements were identified with.
+    /// The options of the identification.
     pub options: IdentificationOptions,
-    /// What made the recorded estimates, where it is not this version: then other bits are to be expected.
+    /// The program of the recorded estimates, if it is not this version: then other bits are to be expected.
     pub made_by_another: Option<MadeBy>,
-    /// Whether the options ask for something else than what was recorded: then nothing is compared bit for bit.
+    /// Whether the options differ from the recorded ones: then nothing is compared bit for bit.
     pub what_if: bool,
     /// Number of estimates compared.
     pub compared: usize,
     /// Empty if every bit is the same.
     pub differences: Vec<Difference>,
-    /// The parameters of the estimates compared that are not the same to the bit.
+    /// The compared parameters that differ in some bit.
     pub parameters: Vec<ParameterChange>,
     /// The recorded and the replayed error of the same mode and set.
     pub changes: Vec<Change>,
     /// Sets that were not recorded to their end.
     pub missing: Vec<MissingPart>,
-    /// What of the recording is under no checksum.
+    /// The parts of the recording without a checksum.
     pub unprotected: Unprotected,
-    /// Why there was no use in identifying, where it was done anyway.
+    /// Why a fit made no sense, if it was done nevertheless.
     pub implausible: Option<Box<Implausible>>,
 }
 
@@ -185,13 +185,13 @@ pub struct Change {
     pub mode: Mode,
     /// The set.
     pub kind: SetKind,
-    /// As recorded; `None` where it was not.
+    /// As recorded; `None` if it was not.
     pub recorded: Option<f64>,
-    /// As replayed; `None` where the set is left out.
+    /// As replayed; `None` if the set is left out.
     pub replayed: Option<f64>,
 }
 
-/// What the measurements are identified with.
+/// The options of the identification.
 struct Plan {
     name: String,
     model: CalibrationModel,
@@ -202,7 +202,7 @@ struct Plan {
 }
 
 impl Plan {
-    /// From the recording's own scenario, else from what its robot and its measurements allow.
+    /// From the recording's own scenario, else from its robot and its measurements.
     fn new(recording: &Recording, options: &ReplayOptions) -> Result<Self, ReplayError> {
         let robot = match &options.robot {
             Some(robot) => robot.clone(),
@@ -240,7 +240,7 @@ impl Plan {
     }
 }
 
-/// Leaves to the measurements what the options expect of them and a recording, such as one whose nests were dropped, does not hold.
+/// Relaxes what the options expect from the measurements if a recording lacks it, for example because its nests were dropped.
 fn free_what_is_missing(options: &mut IdentificationOptions, set: &MeasurementSet) {
     let lacks = |station: &Station| match options.frame {
         FrameChoice::Nests | FrameChoice::Fixed => station.distinct_nests().len() < 3,
@@ -265,7 +265,8 @@ fn recorded_scenario(recording: &Recording, robot: &Robot) -> Result<Option<Scen
     Ok(source.map(|source| parse_scenario_with(source, robot.clone(), &recording.sources)).transpose()?)
 }
 
-/// Identifies again from what `path` holds: the measurements, the robot and, where there is one, the scenario's choices.
+/// Identifies again from the contents of `path`: the measurements, the robot and, if there is one, the scenario's
+/// choices.
 pub fn replay(path: &Path, options: &ReplayOptions) -> Result<Replayed, ReplayError> {
     let read = ReadOptions { dropped_topics: options.dropped_topics.clone() };
     let recording = read_recording_with(path, &read)?;
@@ -291,7 +292,7 @@ pub fn replay(path: &Path, options: &ReplayOptions) -> Result<Replayed, ReplayEr
                 compare(mode, recorded, estimate, &mut differences);
                 parameters.extend(parameter_changes(outcome.mode, recorded, estimate));
             }
-            // A mode that was asked for beside the recorded ones is no difference.
+            // An additional mode is not a difference.
             None if options.modes.is_empty() => differences.push(Difference::Missing { mode }),
             None => {}
         }
@@ -342,7 +343,7 @@ pub fn replay(path: &Path, options: &ReplayOptions) -> Result<Replayed, ReplayEr
     })
 }
 
-/// What made the `estimates`, if it was not this version.
+/// The program of the `estimates`, if it is not this version.
 fn made_by_another(provenance: Option<&Provenance>, estimates: &[RecordedEstimate]) -> Option<MadeBy> {
     if estimates.is_empty() {
         return None;
@@ -354,7 +355,7 @@ fn made_by_another(provenance: Option<&Provenance>, estimates: &[RecordedEstimat
     (made_by != MadeBy::this()).then_some(made_by)
 }
 
-/// The parameters that differ in any bit, those that only one of the two has among them.
+/// The parameters that differ in any bit, including those that only one of the two has.
 fn parameter_changes(mode: Mode, recorded: &RecordedEstimate, replayed: &Estimate) -> Vec<ParameterChange> {
     let now: Vec<_> = replayed.parameters.iter().map(|p| (p.id.to_string(), p.value, p.sigma)).collect();
     let before = &recorded.parameters;
@@ -395,17 +396,17 @@ fn changes(estimates: &[RecordedEstimate], sets: &[SetOutcome], modes: &[ModeOut
         .collect()
 }
 
-/// Why a report of a recording tells nothing of the truth.
+/// Why a report of a recording does not include the truth.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NoTruth {
-    /// No machine is recorded: the measurements are no simulation's.
+    /// No machine is recorded: the measurements are not simulated.
     Real,
-    /// This version of the program makes another machine of the recorded scenario.
+    /// This version of the program draws another machine from the recorded scenario.
     OtherMachine,
 }
 
-/// The machine behind a simulated recording, for the report of what [`replay`] found, which never sees it: the one that the recorded scenario
-/// describes, if it is the one that was recorded.
+/// The machine behind a simulated recording, for the report on [`replay`], which never sees it: the machine of the recorded scenario, if it
+/// equals the recorded one.
 pub fn recorded_truth(path: &Path) -> Result<Result<Truth, NoTruth>, ReplayError> {
     let Some(recorded) = read_recorded_machine(path)? else { return Ok(Err(NoTruth::Real)) };
     let recording = read_recording_with(path, &ReadOptions::default())?;
@@ -434,7 +435,7 @@ pub fn recorded_truth(path: &Path) -> Result<Result<Truth, NoTruth>, ReplayError
     Ok(Ok(Truth {
         as_built,
         stations,
-        // A recording does not tell it.
+        // A recording does not hold it.
         instrument: Vec::new(),
         payloads,
         further_targets,

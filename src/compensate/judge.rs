@@ -1,4 +1,4 @@
-//! What is to be said of corrected commands.
+//! Remarks on corrected commands.
 
 use super::{CLOSED, Compensation, CompensationPlan, Corrected, End};
 use crate::handover::EstimateFile;
@@ -106,7 +106,7 @@ pub(super) fn doubts(made: &Compensation, estimate: &Estimate, unfinished: Optio
     doubts
 }
 
-/// What is to be known beside.
+/// Further remarks.
 pub(super) fn remarks(made: &Compensation, file: &EstimateFile, plan: &CompensationPlan) -> Vec<String> {
     let mut remarks = Vec::new();
     let beyond = made.count(|point| !point.beyond.is_empty());
@@ -162,7 +162,7 @@ pub(super) fn remarks(made: &Compensation, file: &EstimateFile, plan: &Compensat
     remarks
 }
 
-/// By how much an actuator is farthest beyond what was measured, as a share of that.
+/// Largest excursion of an actuator beyond the measured range, as a share of that range.
 fn farthest(made: &Compensation) -> String {
     let all = made
         .points

@@ -1,4 +1,4 @@
-//! Corrected commands of an estimate that was handed over: what became of every goal, how far it is to be trusted, and what a person must look at.
+//! Commands corrected by an estimate from a file or recording: the result for every goal, its uncertainty, and what a person must look at.
 
 mod judge;
 
@@ -15,15 +15,15 @@ use calibrig_estimation::identification::Mode;
 use calibrig_estimation::inverse::{Criterion, Goal, InverseError, Tool, Unreachable};
 use calibrig_model::JointKind;
 
-/// What is left of a goal may be so much, m: more is not met.
+/// Largest remaining error of a goal that counts as met, m.
 pub const CLOSED: f64 = 1e-6;
 
 /// Goals, and whether they are a path.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Way {
-    /// Each for itself, from the start command.
+    /// Separate points, each from the start command.
     Points(Vec<Goal>),
-    /// One from the other, in time.
+    /// A path: each from the one before, in time.
     Path(ToolPath),
 }
 
@@ -45,9 +45,9 @@ impl Way {
 /// What a goal is called.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct GoalName {
-    /// Its name; empty where it has none.
+    /// Its name; empty if it has none.
     pub name: String,
-    /// Where it stands in its file, such as `points.csv:7`; empty where it is made.
+    /// Its place in its file, such as `points.csv:7`; empty if it was generated.
     pub place: String,
 }
 
@@ -58,28 +58,28 @@ pub struct CompensationPlan {
     pub file: String,
     /// Goals.
     pub way: Way,
-    /// One a goal; may be shorter.
+    /// One per goal; may be shorter.
     pub names: Vec<GoalName>,
-    /// What is to be there.
+    /// The part of the robot that goals place.
     pub tool: Tool,
     /// Its name for people.
     pub tool_name: String,
-    /// How commands are sought; of points, the part of single points alone counts.
+    /// How commands are searched; for points, only the part for single points applies.
     pub options: PathOptions,
-    /// The largest standard deviation of a corrected position in space that is to be trusted, m.
+    /// The largest standard deviation of a corrected position in space that is trusted, m.
     pub trust: Option<f64>,
-    /// Offsets that are wanted beside.
+    /// Offsets that are wanted as well.
     pub grid: Option<GridPlan>,
 }
 
-/// An actuator as it is shown.
+/// An actuator as it is displayed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Actuator {
-    /// Of its joint.
+    /// That of its joint.
     pub name: String,
-    /// Of its joint.
+    /// That of its joint.
     pub kind: JointKind,
-    /// False of a joint that follows others: it has no command.
+    /// False for a joint that follows others: it has no command.
     pub is_commanded: bool,
 }
 
@@ -92,7 +92,7 @@ impl Actuator {
         }
     }
 
-    /// A number of it in that unit, of m or rad.
+    /// One m or rad in that unit.
     pub fn shown(&self, value: f64) -> f64 {
         match self.kind {
             JointKind::Revolute => value.to_degrees(),
@@ -104,7 +104,7 @@ impl Actuator {
 /// How a goal ended.
 #[derive(Debug, Clone, PartialEq)]
 pub enum End {
-    /// Met; on a path from the point before.
+    /// Met; on a path, from the point before.
     Met,
     /// Met, but with a jump from the point before.
     Jumped,
@@ -126,19 +126,19 @@ impl End {
     }
 }
 
-/// A command beyond what was measured.
+/// A command outside the measured range.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Beyond {
     /// Index of the actuator.
     pub actuator: usize,
-    /// Above the highest, or negative below the lowest command of the measured poses, m or rad.
+    /// By how much it is above the highest or, negative, below the lowest command of the measured poses, m or rad.
     pub by: f64,
 }
 
-/// What became of a goal.
+/// The result for a goal.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Corrected {
-    /// What it is called.
+    /// Its name.
     pub name: GoalName,
     /// As asked.
     pub goal: Goal,
@@ -146,17 +146,17 @@ pub struct Corrected {
     pub time: Option<f64>,
     /// How it ended.
     pub end: End,
-    /// The corrected command, where there is one.
+    /// The corrected command, if there is one.
     pub point: Option<CompensatedPoint>,
-    /// What is left of the rotation, rad; zero where none is asked for.
+    /// The remaining error of the rotation, rad; zero if none is asked for.
     pub left_angle: f64,
-    /// Whether an actuator comes from another side with the corrected commands than the correction counts on.
+    /// Whether an actuator arrives from another side with the corrected commands than the correction assumes.
     pub wavers: bool,
     /// Whether the step to it is too fast for an actuator.
     pub is_too_fast: bool,
-    /// Actuators that are beyond what was measured there.
+    /// Actuators outside the measured range there.
     pub beyond: Vec<Beyond>,
-    /// Whether its standard deviation is larger than what is to be trusted.
+    /// Whether its standard deviation is larger than the trusted one.
     pub is_untrusted: bool,
 }
 
@@ -181,7 +181,7 @@ pub struct Lengths {
 }
 
 impl Lengths {
-    /// Of these; `None` where there are none.
+    /// Of these; `None` if there are none.
     pub fn of(lengths: impl Iterator<Item = f64>) -> Option<Self> {
         let (mut count, mut sum, mut squares, mut max) = (0_usize, 0.0, 0.0, 0.0_f64);
         for length in lengths {
@@ -193,7 +193,7 @@ impl Lengths {
     }
 }
 
-/// Corrected commands, and what is to be said of them.
+/// Corrected commands, with remarks.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Compensation {
     /// Name of the file of the goals.
@@ -220,11 +220,11 @@ pub struct Compensation {
     pub is_path: bool,
     /// How many goals there are.
     pub asked: usize,
-    /// As many, or fewer where it was interrupted.
+    /// As many, or fewer if it was interrupted.
     pub points: Vec<Corrected>,
-    /// Steps that ask more of an actuator than it can.
+    /// Steps that are too fast for an actuator.
     pub exceeded: Vec<SpeedExcess>,
-    /// Of every actuator, m/s or rad/s, infinite where not known; empty where none are.
+    /// Of every actuator, m/s or rad/s, infinite if unknown; empty if all are.
     pub speed_limits: Vec<f64>,
     /// As asked, m.
     pub trust: Option<f64>,
@@ -232,7 +232,7 @@ pub struct Compensation {
     pub grid: Option<CorrectionGrid>,
     /// What a person must look at.
     pub doubts: Vec<String>,
-    /// What is to be known beside.
+    /// Further remarks.
     pub remarks: Vec<String>,
 }
 
@@ -242,12 +242,12 @@ impl Compensation {
         self.points.iter().filter_map(|point| point.point.as_ref().map(|found| (point, found)))
     }
 
-    /// How far nominal commands are predicted to put the tool beside its goals.
+    /// Predicted errors of the nominal commands.
     pub fn before(&self) -> Option<Lengths> {
         Lengths::of(self.corrected().map(|(_, point)| point.uncompensated.norm()))
     }
 
-    /// What is left on the model.
+    /// Remaining errors on the model.
     pub fn left(&self) -> Option<Lengths> {
         Lengths::of(self.corrected().map(|(_, point)| point.missed()))
     }
@@ -257,12 +257,12 @@ impl Compensation {
         Lengths::of(self.points.iter().filter_map(Corrected::sigma))
     }
 
-    /// How many goals are so.
+    /// How many goals have this property.
     pub fn count(&self, is: impl Fn(&Corrected) -> bool) -> usize {
         self.points.iter().filter(|point| is(point)).count()
     }
 
-    /// The largest change of a command of an actuator by the correction, m or rad.
+    /// The largest correction of an actuator's command, m or rad.
     pub fn largest_change(&self, actuator: usize) -> Option<f64> {
         let change = |(_, point): (_, &CompensatedPoint)| {
             Some((point.command.get(actuator)? - point.nominal.get(actuator)?).abs())
@@ -270,7 +270,7 @@ impl Compensation {
         self.corrected().filter_map(change).reduce(f64::max)
     }
 
-    /// Points of a path that lie one behind the other without a gap or a jump, in threes or so.
+    /// Consecutive points of a path without a gap or a jump, in threes or so.
     fn runs(&self, length: usize) -> impl Iterator<Item = &[Corrected]> {
         self.points.windows(length).filter(|points| {
             points.iter().all(|point| point.point.is_some())
@@ -300,14 +300,14 @@ impl Compensation {
     }
 }
 
-/// Tells what is being done, and how much of how much is done; asks whether to go on.
+/// Reports what is being done, and how much of how much is done; asks whether to go on.
 pub type Tell<'t> = &'t mut dyn FnMut(&'static str, usize, usize) -> ControlFlow<()>;
 
 /// Corrects commands. Points that cannot be met are part of the result, and so is what was done before an interruption.
 ///
 /// # Errors
 ///
-/// [`CompensationError`], for what cannot be asked.
+/// [`CompensationError`] for an invalid request.
 pub fn compensate(
     estimate: &EstimateFile,
     plan: &CompensationPlan,
@@ -384,7 +384,7 @@ pub fn compensate(
     Ok(made)
 }
 
-/// Every goal for itself.
+/// Every goal separately.
 fn each(
     compensator: &mut Compensator<'_>,
     goals: &[Goal],
@@ -447,10 +447,10 @@ fn of_report(report: PathReport, name: GoalName) -> Corrected {
     Corrected { wavers, ..begun(name, report.asked.goal, Some(report.asked.time), end, point) }
 }
 
-/// A command beyond the measured ones by less is at their edge, m or rad.
+/// A command beyond the measured ones by less counts as at their edge, m or rad.
 const EDGE: f64 = 1e-9;
 
-/// What is to be said of a corrected point.
+/// Remarks on a corrected point.
 fn finish(point: &mut Corrected, estimate: &EstimateFile, plan: &CompensationPlan) {
     let Some(found) = &point.point else { return };
     point.left_angle = left_angle(&point.goal, &plan.tool, found);

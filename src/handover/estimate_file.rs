@@ -1,4 +1,4 @@
-//! `calibrig.estimate/1`: an estimate as a file of its own.
+//! `calibrig.estimate/1`: an estimate in a file.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -13,18 +13,18 @@ use calibrig_estimation::identification::{Estimate, Mode};
 use calibrig_files::{InputError, Source};
 use calibrig_model::CalibrationModel;
 
-/// An estimate with what it was made of, as it is handed over.
+/// An estimate with its origins, as it is exported.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EstimateFile {
     /// Name and version of the program that made the estimate.
     pub software: String,
     /// Number of its [method](METHOD).
     pub method: u32,
-    /// Where the measurements came from.
+    /// Origin of the measurements.
     pub input: MadeFrom,
     /// The robot that was fitted.
     pub robot: FittedRobot,
-    /// Where it was measured.
+    /// Region of the measurements.
     pub region: Region,
     /// Names of the stations, in the estimate's order.
     pub stations: Vec<String>,
@@ -34,7 +34,7 @@ pub struct EstimateFile {
     pub estimate: Estimate,
 }
 
-/// Where measurements came from.
+/// Origin of measurements.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MadeFrom {
     /// `scenario`, `files` or `recording`.
@@ -47,7 +47,7 @@ pub struct MadeFrom {
     pub seed: Option<u64>,
 }
 
-/// A robot by its files and by what was read from them.
+/// A robot with its files.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FittedRobot {
     /// Its name for people.
@@ -69,7 +69,7 @@ pub struct RobotSource {
     pub sha256: String,
 }
 
-/// Where a robot was measured: what an estimate tells beyond, it tells of poses that it has not seen.
+/// The region in which a robot was measured: outside it, an estimate predicts poses that it has not seen.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Region {
     /// Observations of the identification set.
@@ -78,14 +78,15 @@ pub struct Region {
     pub command_min: Vec<f64>,
     /// Highest command of every actuator, m or rad.
     pub command_max: Vec<f64>,
-    /// Whether the sides are known from which the poses were approached.
+    /// Whether the sides from which the poses were approached are known.
     pub approached: bool,
 }
 
-/// The hash of a nominal model, hexadecimal: of the JSON of its numbers. What the identification adds to it (the spans of smooth terms) is not in it.
+/// The hash of a nominal model, hexadecimal: of the JSON of its numbers. It does not include what the identification adds (the spans of smooth
+/// terms).
 pub fn model_sha256(model: &CalibrationModel) -> String {
     let plain = CalibrationModel { spans: Vec::new(), ..model.clone() };
-    // Numbers and names become JSON in any case.
+    // Numbers and names always become JSON.
     let text = serde_json::to_string(&plain).unwrap_or_default();
     let mut hash = InputHash::default();
     hash.add("model", &text);
@@ -96,7 +97,7 @@ pub fn model_sha256(model: &CalibrationModel) -> String {
 const ROBOT_ROLES: [&str; 3] = ["robot", "urdf", "columns"];
 
 impl EstimateFile {
-    /// The estimate of `mode` in an outcome, without a mode the fullest; `None` where the outcome has no such estimate.
+    /// The estimate of `mode` in an outcome, or the fullest without a mode; `None` if the outcome has no such estimate.
     pub fn of(outcome: &Outcome, mode: Option<Mode>) -> Option<Self> {
         let wanted = |own: &Mode| mode.is_none_or(|mode| mode == *own);
         let mut fitted = outcome.modes.iter().rev().filter(|outcome| wanted(&outcome.mode));
@@ -159,8 +160,8 @@ impl EstimateFile {
     ///
     /// # Errors
     ///
-    /// [`InputError`] with the place: text that is no JSON, another schema, keys that are missing or hold something else, matrices that do not fit
-    /// the parameters, a model that is not the one that its hash is of, and a robot that cannot predict.
+    /// [`InputError`] with the place: text that is not JSON, another schema, missing or invalid keys, matrices that do not fit the parameters, a
+    /// model that does not match its hash, and a robot that cannot predict.
     pub fn parse(source: &Source) -> Result<Self, InputError> {
         #[derive(Deserialize)]
         struct Head {
@@ -215,12 +216,12 @@ impl EstimateFile {
     ///
     /// # Errors
     ///
-    /// As [`parse`](Self::parse), and where it cannot be read.
+    /// As [`parse`](Self::parse); also if it cannot be read.
     pub fn read(path: &Path) -> Result<Self, InputError> {
         Self::parse(&Source::read(path)?)
     }
 
-    /// Whether a model is the one that was fitted; else its hash and that of the estimate's.
+    /// Checks that a model is the one that was fitted; otherwise returns both hashes.
     ///
     /// # Errors
     ///
@@ -232,7 +233,7 @@ impl EstimateFile {
     }
 }
 
-/// A model that an estimate is not of.
+/// A model that differs from the estimate's.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("the model has the hash {found}, but the estimate is of the model {expected}")]
 pub struct AnotherModel {
@@ -248,7 +249,7 @@ fn not_read(source: &Source, error: &serde_json::Error) -> InputError {
     let line_start: usize =
         source.text.split_inclusive('\n').take(error.line().saturating_sub(1)).map(str::len).sum();
     let at = (line_start + error.column().saturating_sub(1)).min(source.text.len());
-    // A number that is cut short is a syntax error, although the file has just ended too early.
+    // A truncated number is a syntax error, although the file merely ended too early.
     let is_at_end = at + 1 >= source.text.trim_end().len();
     let help = match error.classify() {
         serde_json::error::Category::Syntax if is_at_end => CUT_SHORT,
@@ -259,7 +260,7 @@ fn not_read(source: &Source, error: &serde_json::Error) -> InputError {
     source.error(at..at, in_words(error), Some(help.to_owned()))
 }
 
-/// Without the names of types that are the program's.
+/// Without the names of the program's types.
 fn in_words(error: &serde_json::Error) -> String {
     let said = error.to_string();
     let words = said.split_whitespace().map(|word| match word.trim_end_matches(',') {
@@ -275,13 +276,13 @@ fn place_of(source: &Source, key: &str) -> std::ops::Range<usize> {
     source.text.find(&format!("\"{key}\"")).map_or(0..0, |at| at..at + key.len() + 2)
 }
 
-/// A line a key and an object, lists of numbers on one line.
+/// One line per key and object, lists of numbers on one line.
 #[derive(Default)]
 struct Lines {
     depth: usize,
-    /// Whether lists around have objects or lists in them.
+    /// Whether the enclosing lists have objects or lists in them.
     broken: Vec<bool>,
-    /// At the beginning of an entry of a list.
+    /// At the start of an entry of a list.
     at_entry: bool,
 }
 
@@ -291,7 +292,7 @@ impl Lines {
         (0..self.depth).try_for_each(|_| writer.write_all(b"  "))
     }
 
-    /// What begins in a list begins on a line of its own.
+    /// What starts in a list starts on a new line.
     fn begin(&mut self, writer: &mut (impl Write + ?Sized)) -> io::Result<()> {
         if std::mem::take(&mut self.at_entry) {
             if let Some(broken) = self.broken.last_mut() {

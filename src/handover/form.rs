@@ -1,4 +1,4 @@
-//! `calibrig.estimate/1` as it stands in the file.
+//! `calibrig.estimate/1` as it is in the file.
 
 use nalgebra::{DMatrix, Rotation3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -98,7 +98,7 @@ pub(super) struct Target {
     flange_from_target: Option<Rotation3<f64>>,
 }
 
-/// What is told of the fit; no prediction needs it.
+/// Facts about the fit; predictions do not need them.
 #[derive(Serialize, Deserialize)]
 pub(super) struct FitRecord {
     #[serde(with = "float::scalar")]
@@ -122,7 +122,7 @@ pub(super) struct FitRecord {
     iterations: Vec<IterationRecord>,
 }
 
-/// What a parameter's value is added to, or multiplies.
+/// The value to which a parameter is added, or which it multiplies.
 fn deviation_from(id: ParameterId) -> &'static str {
     match id {
         ParameterId::Link { .. } | ParameterId::Linkage(_) | ParameterId::Centre { .. } => "nominal",
@@ -134,7 +134,7 @@ fn deviation_from(id: ParameterId) -> &'static str {
     }
 }
 
-/// The value in a model of a parameter that has one of its own unit.
+/// The value in a model of a parameter with a unit.
 fn in_model(model: &CalibrationModel, id: ParameterId) -> Option<f64> {
     match id {
         ParameterId::Link { link, term } => model.kinematics.links.get(link).map(|link| link.term(term)),
@@ -150,7 +150,7 @@ fn by_rows(matrix: &DMatrix<f64>) -> Vec<Vec<f64>> {
     matrix.row_iter().map(|row| row.iter().copied().collect()).collect()
 }
 
-/// A matrix of so many rows; `None` where the rows are others, or of different lengths.
+/// A matrix with this number of rows; `None` if it has another number, or rows of different lengths.
 fn matrix(rows: &[Vec<f64>], count: usize, columns: Option<usize>) -> Option<DMatrix<f64>> {
     let width = columns.or_else(|| rows.first().map(Vec::len)).unwrap_or(0);
     let fits = rows.len() == count && rows.iter().all(|row| row.len() == width);
@@ -247,7 +247,7 @@ impl Form {
         }
     }
 
-    /// The estimate; else the key that is wrong, what is wrong with it, and what was expected.
+    /// The estimate; or the key that is wrong, what is wrong with it, and what was expected.
     pub fn into_file(self) -> Result<EstimateFile, (&'static str, String, String)> {
         let count = self.parameters.len();
         let square = format!("{count} rows of {count} numbers, in the order of parameters");

@@ -1,4 +1,4 @@
-//! What is handed over of an estimate: a file of its own, the robot as other programs take it, and what each form loses against the full model.
+//! Export of an estimate: a file of its own, the robot in the forms of other programs, and what each form loses against the full model.
 
 mod estimate_file;
 mod form;
@@ -20,14 +20,14 @@ use calibrig_files::{InputError, Robot, RobotText, TargetText, craig_table, stan
 use calibrig_model::{CalibrationModel, JointKind};
 use reduced::{Free, Poses, fit_offsets, rigid, robot_of};
 
-/// Why nothing can be handed over.
+/// Why nothing can be exported.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum HandoverError {
     /// A robot that cannot predict.
     #[error(transparent)]
     Prediction(#[from] PredictionError),
-    /// The robot cannot take most commands of the region.
+    /// The robot cannot reach most commands of the region.
     #[error(
         "the identified robot can take only {found} of {wanted} poses between the lowest and highest commands of the \
          estimate's region{}",
@@ -38,21 +38,21 @@ pub enum HandoverError {
         found: usize,
         /// Poses wanted.
         wanted: usize,
-        /// The last refusal.
+        /// The last reason.
         why: Option<Box<PredictionError>>,
     },
-    /// The fit of offsets came to no numbers.
+    /// The fit of offsets gave no finite numbers.
     #[error("the fit of joint and tool offsets did not settle: the region's poses do not determine them")]
     Offsets,
     /// No robot file can hold the robot.
     #[error(transparent)]
     Robot(#[from] InputError),
-    /// The estimate is no text.
+    /// The estimate cannot be written as text.
     #[error("the estimate cannot be written as JSON: {0}")]
     Json(#[from] serde_json::Error),
 }
 
-/// A file of what is handed over.
+/// A file of the export.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct HandedFile {
     /// Its name.
@@ -70,7 +70,7 @@ pub struct Kept {
     pub holds: &'static str,
     /// What it lacks, in words.
     pub lacks: &'static str,
-    /// Against the full model, in the region that was measured.
+    /// Against the full model, in the measured region.
     pub loss: Loss,
 }
 
@@ -87,7 +87,7 @@ pub struct Losses {
     pub files: Vec<Kept>,
 }
 
-/// Names of all files that are handed over.
+/// Names of all exported files.
 pub const FILES: [&str; 7] = [
     "estimate.json",
     "robot.toml",
@@ -103,12 +103,12 @@ pub const FILES: [&str; 7] = [
 pub struct Handover {
     /// [`FILES`].
     pub files: Vec<HandedFile>,
-    /// What they lose.
+    /// Their losses.
     pub losses: Losses,
 }
 
-/// Makes all files of an estimate. `robot` is the nominal one where it is at hand: its URDF's links, shapes, inertias and limits are kept. That it is the
-/// one that was fitted says [`EstimateFile::check_model`].
+/// Makes all files of an estimate. `robot` is the nominal one, if available: its URDF's links, shapes, inertias and limits are kept.
+/// [`EstimateFile::check_model`] checks that it is the one that was fitted.
 ///
 /// # Errors
 ///
@@ -135,7 +135,7 @@ pub fn hand_over(estimate: &EstimateFile, robot: Option<&Robot>) -> Result<Hando
     })?;
     let poses = Poses::draw(full, &estimate.region)?;
     let read = &written.read.model;
-    // What bends a robot that is read from its file is its own equilibrium.
+    // A robot read from its file deflects by its own equilibrium.
     let own = if full.mode == Mode::OnlyCalibration { full.mode } else { Mode::Extended };
     let of_file = poses.loss(&robot_of(read, own, full))?;
     let of_chain = poses.loss(&rigid(read, full))?;
@@ -177,8 +177,8 @@ pub fn hand_over(estimate: &EstimateFile, robot: Option<&Robot>) -> Result<Hando
     Ok(Handover { files, losses })
 }
 
-/// The robot as its mode takes it to be: modes that are not coupled have joints where the ideal map has them, whatever lengths the rows get, and
-/// one of them nothing that yields.
+/// The robot as its mode models it: modes that are not coupled have joints where the ideal map has them, whatever the lengths of the rows, and
+/// one of these modes has nothing that deflects.
 fn believed(robot: &CalibratedRobot) -> CalibrationModel {
     let mut model = robot.model.clone();
     if robot.mode.is_coupled() {
@@ -192,7 +192,7 @@ fn believed(robot: &CalibratedRobot) -> CalibrationModel {
     model
 }
 
-/// What stands at the head of every file.
+/// Text at the head of every file.
 fn remarks(estimate: &EstimateFile) -> Vec<String> {
     let robot = &estimate.estimate.robot;
     let mut remarks = vec![
@@ -260,7 +260,7 @@ pub fn losses_text(losses: &Losses) -> String {
     text
 }
 
-/// Rows of offsets: joints alone with the tool, with the frame, and the frame and tool alone.
+/// Rows of offsets: only joints with the tool, then with the frame, and only frame and tool.
 fn offsets_text(
     estimate: &EstimateFile,
     remarks: &[String],

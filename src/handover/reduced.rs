@@ -1,5 +1,5 @@
-//! What a robot's file, a URDF or a table of offsets keeps of an identified robot, and what it loses: against the full prediction, at poses that no fit
-//! has seen.
+//! What a robot's file, a URDF or a table of offsets keeps of an identified robot, and what it loses against the full prediction, at poses that were
+//! not fitted.
 
 use nalgebra::{DMatrix, DVector, Rotation3, Vector3};
 use rand::RngExt;
@@ -11,13 +11,13 @@ use calibrig_model::geometry::Transform;
 use calibrig_model::random::{Source, stream_at};
 use calibrig_model::{CalibrationModel, PoseQuery};
 
-/// Poses that offsets are fitted to, and others at which all losses are told.
+/// Poses to which offsets are fitted, and others at which all losses are evaluated.
 const FITTED: usize = 200;
 const HELD_OUT: usize = 400;
-/// Poses are drawn again where the robot cannot take them, so many for each that is wanted.
+/// Draws per wanted pose: poses that the robot cannot reach are drawn again.
 const TRIES: usize = 5;
 
-/// A pose and where the full model has the target.
+/// A pose and the target's place in the full model.
 #[derive(Debug, Clone)]
 pub(super) struct Known {
     command: Vec<f64>,
@@ -33,7 +33,7 @@ pub(super) struct Poses {
     pub held_out: Vec<Known>,
 }
 
-/// What a form of the robot is off against the full model, m.
+/// Errors of a form of the robot against the full model, m.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Loss {
     /// Root mean square along the base's axes.
@@ -64,7 +64,7 @@ impl Loss {
 }
 
 impl Poses {
-    /// Draws poses between the lowest and highest commands of a region, from both sides where these are known; the same for the same region.
+    /// Draws poses between the lowest and highest commands of a region, from both sides if these are known; the same for the same region.
     pub fn draw(robot: &CalibratedRobot, region: &Region) -> Result<Self, HandoverError> {
         let mut predictor = Predictor::new(robot)?;
         let bounds: Vec<_> = region.command_min.iter().zip(&region.command_max).collect();
@@ -82,7 +82,7 @@ impl Poses {
             let approach: Vec<i8> =
                 if region.approached { bounds.iter().map(side).collect() } else { Vec::new() };
             match predictor.in_base(PoseQuery::at(&command).approached(&approach)) {
-                // What follows are squares.
+                // The rest are squares.
                 Ok(place) if !place.norm_squared().is_finite() => {}
                 Ok(place) => known.push(Known { command, approach, place }),
                 Err(error) => refusal = Some(error),
@@ -120,7 +120,7 @@ pub(super) fn robot_of(model: &CalibrationModel, mode: Mode, of: &CalibratedRobo
     }
 }
 
-/// The rigid chain of a model, its joints where the ideal map of the commands has them.
+/// The rigid chain of a model, with its joints where the ideal map of the commands has them.
 pub(super) fn rigid(model: &CalibrationModel, of: &CalibratedRobot) -> CalibratedRobot {
     let mut ideal = model.clone();
     ideal.statics = None;
@@ -128,7 +128,7 @@ pub(super) fn rigid(model: &CalibrationModel, of: &CalibratedRobot) -> Calibrate
     robot_of(&ideal, Mode::OnlyCalibration, of)
 }
 
-/// What a controller is given that takes no other link parameters than its own.
+/// Corrections for a controller that accepts only its own link parameters.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Offsets {
     /// What is added to every command before the nominal kinematics, m or rad.
@@ -137,19 +137,19 @@ pub struct Offsets {
     pub tool: Vector3<f64>,
     /// Where the nominal robot's base is in the base.
     pub base_from_nominal: Transform,
-    /// What is lost.
+    /// The losses.
     pub loss: Loss,
 }
 
-/// Which of the offsets are looked for, beside the tool's.
+/// Which of the offsets are fitted, besides the tool's.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Free {
     pub joints: bool,
     pub frame: bool,
 }
 
-/// The offsets of the nominal, rigid robot that put the tool nearest to where the full model has it: least squares by Gauss and Newton, the smallest
-/// where several do the same.
+/// The offsets of the nominal, rigid robot that bring the tool nearest to its place in the full model: least squares by Gauss and Newton, the
+/// smallest among equivalent ones.
 pub(super) fn fit_offsets(
     nominal: &CalibrationModel,
     full: &CalibratedRobot,
@@ -185,12 +185,12 @@ pub(super) fn fit_offsets(
             if free.frame {
                 let frame = moved.len() + 3;
                 jacobian.fixed_view_mut::<3, 3>(3 * row, frame).fill_with_identity();
-                // Angles count at the robot's size, so that the smallest change means one of lengths.
+                // Angles are scaled by the robot's size, so that the smallest change is measured as a length.
                 let turning = -at.place.cross_matrix() / scale;
                 jacobian.fixed_view_mut::<3, 3>(3 * row, frame + 3).copy_from(&turning);
             }
         }
-        // The decomposition would not end.
+        // The decomposition would not terminate.
         if !jacobian.iter().chain(&residuals).all(|value| value.is_finite()) {
             return Err(HandoverError::Offsets);
         }
@@ -224,11 +224,11 @@ pub(super) fn fit_offsets(
 }
 
 const ITERATIONS: usize = 30;
-/// Singular values below this share of the largest are combinations that move nothing.
+/// Singular values below this share of the largest belong to combinations without effect.
 const SMALLEST: f64 = 1e-9;
 /// A step below this (m, rad) is the last.
 const AT_REST: f64 = 1e-12;
-/// Step of differences, m or rad: of a rigid chain they are exact to 1e-11 of its size.
+/// Step of finite differences, m or rad: for a rigid chain they are exact to 1e-11 of its size.
 const STEP: f64 = 1e-5;
 
 /// The nominal robot with offsets.
@@ -237,7 +237,7 @@ struct Reduced<'a> {
     last_from_flange: Transform,
 }
 
-/// Where the tool is in the base, and how the flange is turned there.
+/// The tool's place in the base, and the flange's orientation there.
 struct Placed {
     place: Vector3<f64>,
     turned: Rotation3<f64>,
@@ -259,7 +259,7 @@ impl Reduced<'_> {
         })
     }
 
-    /// Of the tool by a command, by central differences.
+    /// Of the tool with respect to a command, by central differences.
     fn derivative(
         &mut self,
         offsets: &Offsets,

@@ -1,4 +1,4 @@
-//! A campaign as a table: a row a trial, the same columns in every row.
+//! A campaign as a table: one row per trial, with the same columns in every row.
 
 use calibrig_campaign::design::{Coordinate, Design};
 use calibrig_campaign::table::{Cell, Column, Kind};
@@ -14,7 +14,7 @@ use calibrig_model::{ParameterId, Unit};
 /// The columns of a campaign.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TrialColumns {
-    /// The modes and the parameters that each has columns for.
+    /// The modes, and the parameters for which each has columns.
     pub modes: Vec<(Mode, Vec<ParameterId>)>,
     factors: Vec<Factor>,
 }
@@ -23,7 +23,7 @@ pub struct TrialColumns {
 const ACCURACY: [&str; 8] =
     ["max_x_m", "max_y_m", "max_z_m", "mean_x_m", "mean_y_m", "mean_z_m", "rms_3d_m", "max_3d_m"];
 
-/// Of every trial.
+/// For every trial.
 const TRIAL: [(&str, Kind); 6] = [
     ("trial", Kind::Integer),
     ("draw", Kind::Integer),
@@ -33,7 +33,7 @@ const TRIAL: [(&str, Kind); 6] = [
     ("dropped", Kind::Integer),
 ];
 
-/// Of every fit.
+/// For every fit.
 const FIT: [(&str, Kind); 9] = [
     ("termination", Kind::Text),
     ("sound", Kind::Integer),
@@ -46,7 +46,7 @@ const FIT: [(&str, Kind); 9] = [
     ("predictions", Kind::Integer),
 ];
 
-/// Of every parameter, with the suffix of its unit; the last three are standard deviations.
+/// For every parameter, with the suffix of its unit; the last three are standard deviations.
 const PARAMETER: [&str; 5] = ["estimate", "truth", "sigma", "cramer_rao", "bayesian"];
 
 /// Name of a parameter's column: `with_gravity.delta_a2.estimate_m`.
@@ -75,8 +75,8 @@ pub(super) fn factor_column(factor: &Factor) -> String {
 }
 
 impl TrialColumns {
-    /// The columns of a campaign: with the parameters that its sessions, as planned, would identify at any combination of a sweep, and elsewhere at the
-    /// values that the scenario's file states. What a trial identifies beside these stands in `other_parameters`.
+    /// The columns of a campaign: with the parameters that its planned sessions would identify, at any combination of a sweep and otherwise at the
+    /// values stated in the scenario's file. Further parameters of a trial are in `other_parameters`.
     pub fn of(campaign: &Campaign<'_>) -> Self {
         let scenario = campaign.scenario;
         let factors = scenario.campaign.as_ref().map_or_else(Vec::new, |plan| plan.factors.clone());
@@ -163,13 +163,13 @@ impl TrialColumns {
 }
 
 impl TrialOutcome {
-    /// Whether every identification converged and is of full rank.
+    /// Whether every identification converged and has full rank.
     pub fn is_sound(&self) -> bool {
         self.modes.iter().filter_map(|mode| mode.fit.as_ref()).all(|fit| fit.sound)
     }
 }
 
-/// Adds parameters that the scenario's session, as planned, would identify. One that cannot be planned adds none.
+/// Adds parameters that the scenario's planned session would identify. A session that cannot be planned adds none.
 fn add_planned(modes: &mut [(Mode, Vec<ParameterId>)], scenario: &Scenario) {
     let Ok(set) = planned(scenario) else { return };
     for (mode, parameters) in modes.iter_mut().filter(|(mode, _)| *mode != Mode::WithoutCalibration) {
@@ -183,7 +183,7 @@ fn add_planned(modes: &mut [(Mode, Vec<ParameterId>)], scenario: &Scenario) {
     }
 }
 
-/// The same at every level of a factor that is drawn among levels.
+/// The same at every level of a factor that has levels.
 fn add_of_levels(
     modes: &mut [(Mode, Vec<ParameterId>)],
     scenario: &Scenario,

@@ -1,8 +1,8 @@
-//! Campaigns: many trials of one scenario, to see how an estimate is scattered and whether it is as certain as it says.
+//! Campaigns: many trials of one scenario, to see how estimates scatter and whether their stated uncertainty is right.
 //!
-//! A trial is a pure function of (scenario, seed, number): the same bits alone or in a campaign, whatever the number of threads, machines and parts. A
-//! trial is a row of a table ([`TrialColumns`]), and what trials say together ([`summarise`]) is told from the table alone: of rows in memory, of
-//! one machine, and of many machines' shards.
+//! A trial is a pure function of (scenario, seed, number): the same bits alone or in a campaign, whatever the number of threads, machines and parts.
+//! A trial is a row of a table ([`TrialColumns`]), and the summary ([`summarise`]) uses only the table: rows in memory, of one machine, or of many
+//! machines' shards.
 
 mod columns;
 mod study;
@@ -31,20 +31,20 @@ use thiserror::Error;
 use crate::pipeline::PlantKind;
 use crate::scenario::Scenario;
 
-/// What every trial has in common.
+/// What all trials have in common.
 #[derive(Debug, Clone)]
 pub struct Campaign<'a> {
-    /// Where the truth is drawn from, how it is measured and identified.
+    /// The truth, how it is measured and how it is identified.
     pub scenario: &'a Scenario,
     /// Key of all random streams.
     pub seed: u64,
-    /// What stands for the machine.
+    /// Model of the machine.
     pub plant: PlantKind,
     /// Which point of the study a trial is.
     pub design: Design,
 }
 
-/// What a trial is before it is carried out.
+/// A trial before it is carried out.
 #[derive(Debug, Clone)]
 pub struct Case<'a> {
     /// The scenario with the values of its factors.
@@ -53,20 +53,20 @@ pub struct Case<'a> {
     pub draw: u32,
     /// Of the factors, as TOML has them.
     pub values: Vec<String>,
-    /// How often factors or machine were drawn again, because what was drawn is impossible.
+    /// How often factors or machine were drawn again because the draw was impossible.
     pub redrawn: u32,
 }
 
-/// A trial that cannot be one.
+/// Why a trial is impossible.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum CaseError {
     /// The campaign has no trial of that number.
     #[error("the campaign has only {trials} trials, so there is no trial {trial}")]
     NoTrial {
-        /// Asked for.
+        /// The number asked for.
         trial: u64,
-        /// There are.
+        /// The number of trials.
         trials: u64,
     },
     /// The values of its factors are refused.
@@ -77,7 +77,7 @@ pub enum CaseError {
         /// Why, with the line of the scenario.
         reason: String,
     },
-    /// Factors were drawn again and again, and refused each time.
+    /// Factors were drawn repeatedly, and refused each time.
     #[error("its factors were drawn {draws} times, and are impossible each time; the last time {source}")]
     Impossible {
         /// How many.
@@ -87,11 +87,11 @@ pub enum CaseError {
     },
 }
 
-/// A campaign whose trials cannot be carried out.
+/// Why a campaign's trials cannot be carried out.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum CampaignError {
-    /// A trial of a design that has none to spare.
+    /// An impossible trial in a design that cannot draw it again.
     #[error("trial {trial}: {source}")]
     Trial {
         /// Which.
@@ -121,19 +121,19 @@ pub enum CampaignError {
 
 /// How often factors are drawn for one trial.
 const MOST_DRAWS: u32 = 50;
-/// Trials that are looked at before the first one is carried out.
+/// Trials that are checked before the first one is carried out.
 const LOOKED_AT: u64 = 200;
-/// The same of a design in which none is drawn again.
+/// The same for a design that draws no trial again.
 const LOOKED_AT_UNDRAWN: u64 = 2000;
-/// More of them must not be impossible, in tenths.
+/// Largest share of impossible ones, in tenths.
 const MOST_TENTHS: u64 = 1;
 
 impl<'a> Campaign<'a> {
-    /// A campaign as the scenario lays it out, with as many `trials` where that is asked for.
+    /// The scenario's campaign, with another number of `trials` if one is given.
     ///
     /// # Errors
     ///
-    /// What the number of trials can be, in words.
+    /// The possible numbers of trials, in words.
     pub fn new(
         scenario: &'a Scenario,
         seed: u64,
@@ -144,7 +144,7 @@ impl<'a> Campaign<'a> {
         Ok(Self { scenario, seed, plant, design })
     }
 
-    /// The trials of a scenario in which nothing varies but what is drawn, without end.
+    /// The trials of a scenario in which only the draws vary, without end.
     pub fn of_draws(scenario: &'a Scenario, seed: u64, plant: PlantKind) -> Self {
         let plan = scenario.campaign.clone().unwrap_or_default();
         let (factors, sampling) = (plan.factors.len(), plan.sampling);
@@ -152,7 +152,7 @@ impl<'a> Campaign<'a> {
         Self { scenario, seed, plant, design }
     }
 
-    /// What the trial of that number is.
+    /// The trial of that number.
     pub fn case(&self, trial: u64) -> Result<Case<'a>, CaseError> {
         let no_trial = || CaseError::NoTrial { trial, trials: self.design.trials() };
         let varies = self.scenario.campaign.as_ref().is_some_and(|plan| !plan.factors.is_empty());
@@ -162,7 +162,7 @@ impl<'a> Campaign<'a> {
         };
         let mut refused = None;
         for redrawn in 0..redraws {
-            // Another key each time: what is drawn again depends on the trial alone.
+            // A different key each time: a repeated draw depends only on the trial.
             let seed = self.seed.wrapping_add(u64::from(redrawn).wrapping_mul(0x9E37_79B9_7F4A_7C15));
             let (draw, values) = self.values(seed, trial).ok_or_else(no_trial)?;
             match self.varied(&values) {
@@ -189,7 +189,7 @@ impl<'a> Campaign<'a> {
         let factors = self.scenario.campaign.as_ref().map_or(&[][..], |plan| &plan.factors);
         self.scenario.with_factors(values).map(Cow::Owned).map_err(|error| {
             let text = error.to_string();
-            // Where the file lies differs between machines, and reasons are part of the table.
+            // The place of the file differs between machines, and reasons are part of the table.
             let name = self.scenario.sources.first().map_or("", |(_, source)| source.name.as_str());
             let text = text.strip_prefix(name).map_or(text.clone(), |rest| format!("the scenario{rest}"));
             let reason = error.help().map_or(text.clone(), |help| format!("{text}; {help}"));
@@ -199,17 +199,17 @@ impl<'a> Campaign<'a> {
         })
     }
 
-    /// Looks at what the first trials are, and of a sweep at every combination, before any is carried out.
+    /// Checks the first trials, and for a sweep every combination, before any is carried out.
     ///
     /// # Errors
     ///
-    /// A design that is not drawn has a trial that is refused, or of one that is drawn more than a tenth are.
+    /// Errors if a design that is not drawn has a refused trial, or a drawn one has more than a tenth.
     pub fn check(&self) -> Result<(), CampaignError> {
         let trials = self.design.trials();
         let (drawn, step) = match self.design {
             Design::Sweep { repeats, .. } => (trials / repeats.max(1), repeats),
             Design::Plain { .. } => (trials.min(LOOKED_AT), 1),
-            // None is drawn again: as many are looked at as take some seconds.
+            // None is drawn again: as many are checked as take some seconds.
             _ => (trials.min(LOOKED_AT_UNDRAWN), 1),
         };
         let (mut refused, mut machines, mut first) = (0, 0, None);
@@ -239,12 +239,12 @@ impl<'a> Campaign<'a> {
         Ok(())
     }
 
-    /// Why the first draw of the factors that is refused is.
+    /// Why the first refused draw of the factors is refused.
     fn first_refused(&self, drawn: u64) -> Option<CaseError> {
         (0..drawn).find_map(|trial| self.varied(&self.values(self.seed, trial)?.1).err())
     }
 
-    /// Draw and values of the factors of a trial; `None` where there is no such trial.
+    /// Draw and values of the factors of a trial; `None` if there is no such trial.
     fn values(&self, seed: u64, trial: u64) -> Option<(u32, Vec<String>)> {
         let factors = self.scenario.campaign.as_ref().map_or(&[][..], |plan| &plan.factors);
         let point = self.design.point(seed, trial)?;
@@ -270,7 +270,7 @@ impl<'a> Campaign<'a> {
         Trial { index, draw, values, redrawn, outcome: Err(reason) }
     }
 
-    /// The same where even a fault of the program is an outcome: one trial must not end a campaign.
+    /// The same, with even a fault of the program as an outcome: one trial must not end a campaign.
     fn trial_or_fault(&self, index: u64) -> Trial {
         std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| self.trial(index))).unwrap_or_else(|fault| {
             let text = fault.downcast_ref::<String>().map(String::as_str);
@@ -279,10 +279,10 @@ impl<'a> Campaign<'a> {
         })
     }
 
-    /// Carries out trials on `threads` threads (0: one a core) until `stop` is set or `observe` says no.
+    /// Carries out trials on `threads` threads (0: one per core) until `stop` is set or `observe` says no.
     ///
-    /// `observe` is told of every trial in their order and soon after it is done, with the seconds that `clock` counted for it. Trials
-    /// behind one that is not done when the campaign is stopped are not told of.
+    /// `observe` receives every trial, in order and soon after it is done, with the seconds that `clock` counted for it. Trials after
+    /// one that is unfinished when the campaign is stopped are not reported.
     pub fn run(
         &self,
         trials: impl Iterator<Item = u64> + Send,
@@ -300,7 +300,7 @@ impl<'a> Campaign<'a> {
             let (refused, told) = (&refused, &told);
             scope.spawn(move || in_order(&results, refused, told, observe));
             pool.install(|| {
-                // A bridge hands the numbers out one by one, so that what is done early is a range without holes.
+                // A bridge hands out the numbers one by one, so that finished trials form a range without gaps.
                 let go_on = || !stop.load(Ordering::Relaxed) && !refused.load(Ordering::Relaxed);
                 numbered.take_while(|_| go_on()).par_bridge().for_each_with(done, |done, (place, index)| {
                     told.wait_for(place);
@@ -325,18 +325,18 @@ impl<'a> Campaign<'a> {
     }
 }
 
-/// Trials that are ahead of the one that is told of next, at most: enough for threads beside a slow one.
+/// Largest number of trials ahead of the next one to report: enough for threads next to a slow one.
 const AHEAD: u64 = 256;
 
-/// How many trials were told of.
+/// Number of reported trials.
 #[derive(Default)]
 struct Told(Mutex<u64>, Condvar);
 
 impl Told {
-    /// Waits until the trial at `place` is not too far ahead, so that few wait in memory behind a slow one.
+    /// Waits until the trial at `place` is not too far ahead, so that few wait in memory for a slow one.
     fn wait_for(&self, place: u64) {
         let told = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        // Who tells goes on until the last one, so that this ends.
+        // The reporter goes on until the last one, so that this ends.
         drop(self.1.wait_while(told, |told| place >= told.saturating_add(AHEAD)));
     }
 
@@ -346,7 +346,7 @@ impl Told {
     }
 }
 
-/// Receives trials in any order, and tells of them by their place.
+/// Receives trials in any order, and reports them in order.
 fn in_order(
     results: &mpsc::Receiver<(u64, Trial, f64)>,
     refused: &AtomicBool,

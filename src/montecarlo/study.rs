@@ -1,4 +1,4 @@
-//! What of a campaign its table is read by, and what is fixed by it.
+//! The part of a campaign that its table is read by, and that fixes it.
 
 use calibrig_campaign::design::Design;
 use serde::{Deserialize, Serialize};
@@ -8,19 +8,19 @@ use crate::scenario::Factor;
 use calibrig_estimation::identification::Mode;
 use calibrig_model::ParameterId;
 
-/// What a campaign studies: a part of its manifest. Its table is summed up by this alone.
+/// What a campaign studies: a part of its manifest. Its table is summarised by this alone.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Study {
-    /// What stands for the machine.
+    /// Model of the machine.
     pub plant: String,
     /// Which point a trial is.
     pub design: Design,
     /// What varies.
     pub factors: Vec<Factor>,
-    /// Whether every trial has a machine of its own, drawn from a distribution.
+    /// Whether every trial draws its own machine from a distribution.
     pub machines_are_drawn: bool,
-    /// Within which a calibrated robot counts as a success, as the scenario has it, m.
+    /// Error up to which a calibrated robot counts as a success, as the scenario states, m.
     pub tolerance: Option<f64>,
     /// The rows of the tables.
     pub modes: Vec<StudyMode>,
@@ -54,7 +54,7 @@ impl Study {
         }
     }
 
-    /// The modes that this program knows, with the parameters that it knows.
+    /// The modes, and the parameters, that this program knows.
     pub fn known_modes(&self) -> Vec<(Mode, Vec<ParameterId>)> {
         let known = |mode: &StudyMode| {
             let parameters = mode.parameters.iter().filter_map(|name| ParameterId::parse(name)).collect();

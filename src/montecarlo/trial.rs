@@ -15,31 +15,31 @@ use calibrig_estimation::identification::{
 use calibrig_model::ParameterId;
 use calibrig_model::measurement::{MeasurementSet, Reading, SetKind};
 
-/// What came of one trial.
+/// The result of one trial.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Trial {
     /// Its number in the campaign.
     pub index: u64,
     /// Number of its draw.
     pub draw: u32,
-    /// Of the campaign's factors, as TOML has them; empty where they are impossible.
+    /// Of the campaign's factors, as TOML has them; empty if they are impossible.
     pub values: Vec<String>,
-    /// How often factors or machine were drawn again, because what was drawn is impossible.
+    /// How often factors or machine were drawn again because the draw was impossible.
     pub redrawn: u32,
-    /// What it showed, or why it failed.
+    /// Its results, or why it failed.
     pub outcome: Result<TrialOutcome, String>,
 }
 
-/// What a trial showed.
+/// Results of a trial.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TrialOutcome {
-    /// One a mode of the scenario.
+    /// One per mode of the scenario.
     pub modes: Vec<ModeResult>,
     /// Planned poses that were not measured.
     pub dropped: usize,
 }
 
-/// What one mode made of a trial.
+/// Results of one mode in a trial.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ModeResult {
     /// Which.
@@ -50,14 +50,14 @@ pub struct ModeResult {
     pub fit: Option<FitResult>,
 }
 
-/// What predicted positions are held against.
+/// Reference of predicted positions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum AccuracySet {
     /// The readings that were fitted.
     Identification,
     /// The readings of the held-out poses.
     Verification,
-    /// The true places of the held-out poses: what a simulation alone knows, without the errors of the instrument that reads them.
+    /// The true places of the held-out poses: known only in a simulation, without errors of the instrument.
     Truth,
 }
 
@@ -102,29 +102,29 @@ pub struct FitResult {
     pub iterations: usize,
     /// Chi-square per degree of freedom.
     pub chi2_per_dof: Option<f64>,
-    /// Normalised estimation error squared over all parameters, where the truth of every one is known.
+    /// Normalised estimation error squared over all parameters, if the truth of every one is known.
     pub nees: Option<f64>,
-    /// Squared error over the bound: of all parameters, with the information at their truth; `None` where one truth is not known. In the mean at
-    /// least the number of parameters, where the machine is drawn from the priors and the model is right.
+    /// Squared error over the bound: of all parameters, with the information at their truth; `None` if one truth is unknown. On average at least
+    /// the number of parameters, if the machine is drawn from the priors and the model is right.
     pub squared_over_bound: Option<f64>,
-    /// The parameters beside their truth.
+    /// The parameters with their truth.
     pub parameters: Vec<ParameterResult>,
     /// True positions of the verification poses inside the stated 95 % intervals (per coordinate), and their number.
     pub predictions: (u64, u64),
 }
 
-/// A parameter beside its truth, SI.
+/// A parameter with its truth, SI.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ParameterResult {
     /// Which.
     pub id: ParameterId,
-    /// The truth, where it has a counterpart.
+    /// The truth, if it has a counterpart.
     pub truth: Option<f64>,
     /// The estimate.
     pub value: f64,
     /// Its stated standard deviation.
     pub sigma: Option<f64>,
-    /// The Cramér-Rao bound at the truth: what no unbiased estimator is below that knows the measurements of this trial alone.
+    /// The Cramér-Rao bound at the truth: the limit for unbiased estimators that use only the measurements of this trial.
     pub cramer_rao: Option<f64>,
     /// The Bayesian Cramér-Rao bound, with the information at this truth for its mean over machines at these poses; `None` without priors.
     pub bayesian: Option<f64>,
@@ -157,7 +157,7 @@ pub(super) fn carry_out(campaign: &Campaign<'_>, case: &Case<'_>) -> Result<Tria
     Ok(TrialOutcome { modes, dropped: simulation.sets.iter().map(|set| set.dropped.len()).sum() })
 }
 
-/// The held-out poses as an instrument without errors would read them, from where it stands; `None` without any.
+/// The held-out poses as an instrument without errors would read them, from the same place; `None` without any.
 fn true_places(simulation: &Simulation) -> Option<MeasurementSet> {
     let sets = simulation.sets.iter().zip(&simulation.truth.poses);
     let (set, settled) = sets.into_iter().find(|(set, _)| set.kind == SetKind::Verification)?;
@@ -171,7 +171,7 @@ fn true_places(simulation: &Simulation) -> Option<MeasurementSet> {
 }
 
 fn against_truth(robot: &CalibratedRobot, truth: Option<&MeasurementSet>) -> Option<AccuracyRow> {
-    // Of places, and not of what the instrument that was identified with the robot would show of them.
+    // Of the places, not of what the instrument that was identified with the robot would read.
     let robot = CalibratedRobot { instruments: Vec::new(), ..robot.clone() };
     accuracy(&Predictor::new(&robot).ok()?.errors(truth?).ok()?)
 }
@@ -228,8 +228,8 @@ fn nees_of(estimate: &Estimate, parameters: &[ParameterResult]) -> Option<f64> {
     nees(&DVector::from_vec(error?), estimate.covariance.as_ref()?)
 }
 
-/// How many true coordinates of the held-out poses lie inside the 95 % intervals of the robot's mean position, and of how many. In the tracker's
-/// frame, so that the uncertainty of its place counts as well.
+/// How many true coordinates of the held-out poses are inside the 95 % intervals of the robot's mean position, and how many there are. In the
+/// tracker's frame, so that the uncertainty of its place is included.
 fn predictions(scenario: &Scenario, truth: &MeasurementSet, estimate: &Estimate) -> (u64, u64) {
     let options = IdentificationOptions { mode: estimate.robot.mode, ..scenario.options.clone() };
     let model = &scenario.robot.model;

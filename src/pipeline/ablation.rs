@@ -1,5 +1,5 @@
-//! What each part of the machine contributes to what the modes leave behind: the same poses and random numbers with one part removed at
-//! a time.
+//! What each part of the machine contributes to the remaining errors of the modes: the same poses and random numbers with one part
+//! removed at a time.
 
 use super::{ModeOutcome, Outcome, PipelineError, PlantKind, SetKind, calibrate, simulate};
 use crate::scenario::Scenario;
@@ -28,7 +28,7 @@ pub enum Part {
     Statics,
     /// The tilt of the base against gravity.
     Tilt,
-    /// Loads, hoses and forces that the model does not know, and what payloads differ from what is stated of them.
+    /// Loads, hoses and forces that the model does not know, and differences of payloads from the stated ones.
     Loads,
     /// The errors of the tracker, its air and its stand, of the nests and of the target's offset.
     Instrument,
@@ -104,8 +104,8 @@ impl Part {
         }
     }
 
-    /// The scenario without the part. What is compliant becomes rigid in the machine and in the model alike, since a model that predicts
-    /// what is not there would show its own error; everything else changes in the machine alone.
+    /// The scenario without the part. Compliant parts become rigid in the machine and in the model alike, because a model that still
+    /// predicted them would add its own error; everything else changes only in the machine.
     fn removed(self, scenario: &Scenario, identified: &[ParameterId]) -> Scenario {
         let mut changed = scenario.clone();
         let (machine, model) = (&mut changed.as_built, &mut changed.robot.model);
@@ -197,12 +197,12 @@ pub struct Ablation {
     pub sets: Vec<SetKind>,
     /// With everything on.
     pub complete: AblationRows,
-    /// One entry a part that the machine has.
+    /// One entry per part of the machine.
     pub parts: Vec<AblatedPart>,
 }
 
 impl Ablation {
-    /// The rows without a part and with everything on, of a mode and a set by their places.
+    /// The rows without a part and with everything on, for a mode and a set by index.
     pub fn pair(&self, part: &AblatedPart, mode: usize, set: usize) -> Option<(AccuracyRow, AccuracyRow)> {
         let row = |rows: &AblationRows| rows.get(mode)?.get(set).copied().flatten();
         Some((row(part.rows.as_ref().ok()?)?, row(&self.complete)?))
@@ -211,8 +211,8 @@ impl Ablation {
 
 /// Repeats the run of `complete`, simulated from `scenario` with `seed`, without one part of the machine at a time.
 ///
-/// Parts that the machine does not have are left out. A run without a part that fails is an entry with the reason. `progress` is told the
-/// number of runs done, of all runs, and the part that is removed next.
+/// Parts that the machine does not have are left out. A run that fails is an entry with the reason. `progress` receives the number of
+/// runs done, of all runs, and the part that is removed next.
 pub fn ablate(
     scenario: &Scenario,
     seed: u64,

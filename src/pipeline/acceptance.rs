@@ -26,7 +26,7 @@ impl TestedKind {
         Self { instrument: scenario.tracker.instrument }
     }
 
-    /// The name of its preset, where it has one.
+    /// The name of its preset, if it has one.
     pub fn preset_key(&self) -> Option<&'static str> {
         self.instrument.preset.map(Preset::key)
     }
@@ -37,7 +37,7 @@ impl TestedKind {
     }
 }
 
-/// The largest ratio of an error to what is permitted, of each instrument: their median and the largest of all.
+/// The largest ratio of an error to the permitted one, for each instrument: their median and the largest of all.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ratios {
     /// 1
@@ -51,7 +51,7 @@ pub struct Ratios {
 pub struct TestOutcome {
     /// Which.
     pub test: Test,
-    /// Errors found an instrument.
+    /// Errors per instrument.
     pub findings: usize,
     /// Over instruments.
     pub ratios: Ratios,
@@ -89,9 +89,9 @@ impl AcceptanceOutcome {
     }
 }
 
-/// Tests `instruments` of a kind, at least one, as they come from the workshop: none is drawn again.
+/// Tests `instruments` of a kind, at least one, as they leave the workshop: none is drawn again.
 ///
-/// The result does not depend on the number of threads, which all tell `done` of each instrument.
+/// The result does not depend on the number of threads, which all report each instrument to `done`.
 pub fn test_instruments(
     kind: TestedKind,
     seed: u64,

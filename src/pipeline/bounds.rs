@@ -1,4 +1,4 @@
-//! How small the errors of any estimator could be, where a simulation knows the truth.
+//! How small the errors of any estimator could be, if a simulation knows the truth.
 
 use super::{KnownTruth, ModeOutcome, SetOutcome, Truth};
 use calibrig_estimation::identification::{
@@ -14,16 +14,16 @@ pub struct TruthBounds {
     pub mode: Mode,
     /// In the order of the estimate.
     pub parameters: Vec<ParameterId>,
-    /// Least standard deviations of an unbiased estimator that knows the measurements alone, SI: the Cramér-Rao bound. `None` where they do not
+    /// Least standard deviations of an unbiased estimator that uses only the measurements, SI: the Cramér-Rao bound. `None` if they do not
     /// determine all parameters.
     pub cramer_rao: Option<Vec<f64>>,
     /// Least root mean squared errors with the priors, SI: the Bayesian Cramér-Rao bound, with the information at this truth for its mean over
-    /// the priors. `None` where no parameter has a prior.
+    /// the priors. `None` if no parameter has a prior.
     pub bayesian: Option<Vec<f64>>,
 }
 
 /// The bounds of every estimate of `modes` whose parameters all have a known truth. They hold for readings with their stated noise and a machine
-/// that is what the mode's model says; one that scatters by itself, or does what the model lacks, does no better.
+/// that matches the mode's model; one with random errors or effects that the model lacks does no better.
 pub fn bounds_at_truth(
     model: &CalibrationModel,
     sets: &[SetOutcome],
@@ -54,8 +54,7 @@ pub fn bounds_at_truth(
     modes.iter().filter_map(bounds).collect()
 }
 
-/// The information about an estimate's parameters where these are true, with the readings' stated noise alone; `None` where the truth of one is
-/// not known.
+/// The information about an estimate's parameters at their truth, with only the readings' stated noise; `None` if the truth of one is unknown.
 pub(crate) fn information_at_truth(
     known: &KnownTruth<'_>,
     set: &MeasurementSet,
@@ -63,7 +62,7 @@ pub(crate) fn information_at_truth(
     estimate: &Estimate,
 ) -> Option<Information> {
     let values = known.values(estimate)?;
-    // What was stated of the model's errors is no noise of the simulated readings.
+    // The stated errors of the model are not noise of the simulated readings.
     let options =
         IdentificationOptions { mode: estimate.robot.mode, unmodelled_sigma: 0.0, ..options.clone() };
     information_at(known.nominal, set, &options, estimate, &values).ok()

@@ -1,4 +1,4 @@
-//! What a diagnosis says, in words, and what applies it.
+//! A diagnosis in words, with the remedies.
 
 use calibrig_estimation::diagnosis::{Diagnosis, FarOff, Hypothesis, Part, Undetermined};
 use calibrig_model::measurement::{MeasurementSet, Reading};
@@ -7,13 +7,13 @@ use calibrig_model::{CalibrationModel, CraigLink, JointKind};
 /// Rows that are listed by name; more are counted.
 const LISTED: usize = 8;
 
-/// What joints, observations and targets of a session are called.
+/// Names of joints, observations and targets of a session.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Names {
     links: Vec<CraigLink>,
-    /// By how much a joint moves with its own command, where this moves no other one.
+    /// How far a joint moves with its own command, if that moves no other one.
     alone: Vec<Option<f64>>,
-    /// What observations are called: rows where they are numbered through, else poses.
+    /// Name of observations: rows if they are numbered consecutively, else poses.
     called: &'static str,
     /// Number of every observation's pose.
     poses: Vec<u32>,
@@ -97,7 +97,7 @@ impl Names {
         (joints, rows)
     }
 
-    /// What a hypothesis says.
+    /// A hypothesis in words.
     pub fn says(&self, hypothesis: &Hypothesis) -> String {
         if hypothesis.parts.is_empty() {
             return "as it was read".to_owned();
@@ -105,7 +105,7 @@ impl Names {
         hypothesis.parts.iter().map(|part| self.part(part)).collect::<Vec<_>>().join("; and ")
     }
 
-    /// What applies a hypothesis: columns that several parts are about are told once, as they are with all of these.
+    /// The remedy of a hypothesis: columns that several parts concern are stated once, with all changes.
     pub fn remedies(&self, hypothesis: &Hypothesis) -> String {
         let is_of_columns = |part: &&Part| match part {
             Part::Sign { .. } | Part::Order { .. } | Part::Offset { .. } => true,
@@ -119,7 +119,7 @@ impl Names {
             [one] => remedies.push(self.remedy(one)),
             several => remedies.extend(self.columns(several)),
         }
-        // In the order of the parts, where nothing is put together.
+        // In the order of the parts, if nothing is combined.
         if remedies.len() <= 1 && columns.len() <= 1 {
             return hypothesis.parts.iter().map(|part| self.remedy(part)).collect::<Vec<_>>().join("; ");
         }
@@ -127,7 +127,7 @@ impl Names {
         remedies.join("; ")
     }
 
-    /// Several parts that are about columns, one after the other: the columns as they have to be, and what zeros are off beside them.
+    /// Several parts that concern columns, one after the other: the resulting columns, and the offsets of zeros with them.
     fn columns(&self, parts: &[&Part]) -> Vec<String> {
         let n = self.links.len();
         let mut entries: Vec<Vec<f64>> =
@@ -173,7 +173,7 @@ impl Names {
     fn entry(&self, shares: &[f64]) -> String {
         let mut text = String::new();
         for (joint, share) in shares.iter().enumerate() {
-            // Shares are whole numbers: each a term as often.
+            // Shares are whole numbers: a term is repeated accordingly.
             let mut left = share.abs();
             while left > 0.5 {
                 left -= 1.0;
@@ -208,7 +208,7 @@ impl Names {
         }
     }
 
-    /// What a part says.
+    /// A part in words.
     pub fn part(&self, part: &Part) -> String {
         match part {
             Part::AngleUnit { joints, factor } => {
@@ -294,7 +294,7 @@ impl Names {
         from.iter().map(|column| self.joint(*column)).collect::<Vec<_>>().join(", ")
     }
 
-    /// What applies a part.
+    /// The remedy of a part.
     pub fn remedy(&self, part: &Part) -> String {
         match part {
             Part::AngleUnit { joints, factor } => {
@@ -373,7 +373,7 @@ impl Names {
         }
     }
 
-    /// What cannot be told, and because of what.
+    /// What cannot be determined, and why.
     pub fn undetermined(&self, what: &Undetermined) -> String {
         match what {
             Undetermined::NeverMoved { joints } => format!(
@@ -406,7 +406,7 @@ impl Names {
     }
 }
 
-/// By how much a joint moves with its own command, where this moves no other one.
+/// How far a joint moves with its own command, if that moves no other one.
 fn moved_alone(model: &CalibrationModel, joint: usize) -> Option<f64> {
     let joints = model.kinematics.links.len();
     let (mut command, mut before, mut after) = (vec![0.0; joints], vec![0.0; joints], vec![0.0; joints]);
@@ -418,7 +418,7 @@ fn moved_alone(model: &CalibrationModel, joint: usize) -> Option<f64> {
 }
 
 impl Names {
-    /// The hypotheses that explain the points as well as the first, and are as simple: a sound session has none.
+    /// The hypotheses that explain the points as well as the first, and are as simple: none for a sound session.
     pub fn as_good(diagnosis: &Diagnosis) -> impl Iterator<Item = &Hypothesis> {
         let first = diagnosis.hypotheses.first();
         let is_as_good = move |other: &&Hypothesis| {
@@ -436,7 +436,7 @@ fn and(words: &[String], is_all: bool) -> String {
     }
 }
 
-/// A name that need not say what it is the name of.
+/// A name without its kind.
 fn named(what: &str, name: &str) -> String {
     if name.starts_with(what) { name.to_owned() } else { format!("{what} {name}") }
 }

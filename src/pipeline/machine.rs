@@ -1,4 +1,4 @@
-//! What stands for the machine in a simulation.
+//! The model of the machine in a simulation.
 
 use nalgebra::Vector3;
 
@@ -15,7 +15,7 @@ pub(super) struct AnalyticMachine {
     target: Vector3<f64>,
 }
 
-/// Refuses what the analytic machine cannot be.
+/// Refuses what the analytic machine does not support.
 ///
 /// # Errors
 ///

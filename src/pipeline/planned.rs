@@ -1,4 +1,4 @@
-//! Measuring sessions as planned: what the nominal robot would show, without any error.
+//! Planned measuring sessions: what the nominal robot would show, without any error.
 
 use nalgebra::Vector3;
 
@@ -36,8 +36,8 @@ pub fn planned(scenario: &Scenario) -> Result<MeasurementSet, PipelineError> {
     Ok(without_drift(simulated.sets)?.sets.into_iter().next().map(|set| set.measurements).unwrap_or_default())
 }
 
-/// The same at any poses (joint variables) with the target at `in_flange`, m, where neither the tracker's place nor that offset nor the
-/// readings' noise are known. The poses are approached one from the other.
+/// The same at any poses (joint variables) with the target at `in_flange`, m, if the tracker's place, that offset and the readings'
+/// noise are all unknown. The poses are approached one from the other.
 pub fn planned_at(
     model: &CalibrationModel,
     poses: &[Vec<f64>],

@@ -1,4 +1,4 @@
-//! Whether there is any use in fitting: whether the measurements can be of the nominal robot, and in words why not.
+//! Whether a fit makes sense: whether the measurements can be of the nominal robot, and in words why not.
 
 use std::fmt;
 
@@ -13,10 +13,10 @@ use calibrig_model::{CalibrationModel, CraigLink, JointKind};
 const ANYWAY: &str = "--fit-anyway goes on, and ends with exit code 3";
 /// Rows that are named by their place.
 const NAMED: usize = 8;
-/// Other explanations that are told beside the first.
+/// Other explanations that are given besides the first.
 const OTHERS: usize = 2;
 
-/// A set that the nominal robot does not lie on.
+/// A set that the nominal robot does not fit.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Implausible {
     /// Which.
@@ -27,12 +27,12 @@ pub struct Implausible {
     names: Names,
 }
 
-/// Refuses the first of the sets that the nominal robot does not lie on. Where reasons are looked for, `progress` is told how much of how much
-/// is done.
+/// Refuses the first of the sets that the nominal robot does not fit. While reasons are searched, `progress` receives how much of how much is
+/// done.
 ///
 /// # Errors
 ///
-/// [`PipelineError::Implausible`]; [`CalibrateError::Identify`] where model and set do not belong together.
+/// [`PipelineError::Implausible`]; [`PipelineError::Identify`] if model and set do not belong together.
 pub fn check_plausible(
     model: &CalibrationModel,
     sets: &[SetOutcome],
@@ -46,7 +46,7 @@ pub fn check_plausible(
         }
         let found = plausibility_with(model, set, &mut progress)
             .map_err(|source| CalibrateError::Identify { mode: Mode::WithoutCalibration, source })?;
-        // What is held out moves no fit: of it, gross errors are told with the fit.
+        // Held-out readings move no fit: their gross errors are reported with the fit.
         let is_fitted = *kind == SetKind::Identification;
         if !found.is_plausible(robust || !is_fitted) {
             return Err(PipelineError::Implausible(Box::new(Implausible::new(*kind, found, model, set))));
@@ -91,7 +91,7 @@ impl Implausible {
         named
     }
 
-    /// What to look at, and how to go on in spite of it.
+    /// What to look at, and how to go on nevertheless.
     pub fn help(&self) -> String {
         let found = &self.found;
         let mut help: Vec<String> = Vec::new();
@@ -112,7 +112,7 @@ impl Implausible {
                 format!("{says}: RMS {rms}{before}. Remedy: {}", self.names.remedies(hypothesis))
             };
             let first = diagnosis.hypotheses.first();
-            // That rows are out of reach is told already.
+            // Rows out of reach are reported already.
             let is_new =
                 |hypothesis: &&Hypothesis| found.unreachable.is_empty() || hypothesis.parts.len() > 1;
             help.extend(first.filter(is_new).map(told));

@@ -1,4 +1,5 @@
-//! What a target on the flange can tell: one point, three points, or a full pose, at the same poses of the same machine.
+//! What a target on the flange can determine: one point, three points, or a full pose, at the same poses of the same
+//! machine.
 
 mod foreseen;
 
@@ -32,11 +33,11 @@ pub enum Sensor {
     OneSmr,
     /// It and two more, [`ARM`] from it along the flange's x and y.
     ThreeSmrs,
-    /// The pose that the readings of these three make.
+    /// The pose computed from the readings of these three.
     CombinedPose,
-    /// A probe with axes: the scenario's (`[tracker.pose]`), or what measured full poses.
+    /// A probe with axes: the scenario's (`[tracker.pose]`), or the one that measured full poses.
     Probe,
-    /// All targets of a session together, where they are none of the others.
+    /// All targets of a session together, if they are none of the others.
     AsMeasured,
 }
 
@@ -70,7 +71,7 @@ impl Sensor {
 /// Distance of the second and third SMR from the first, m: what fits on a wrist.
 pub const ARM: f64 = 0.12;
 
-/// What came of one.
+/// Results of one target.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SensorResult {
     /// Which.
@@ -81,26 +82,26 @@ pub struct SensorResult {
     pub parameters: Vec<(ParameterId, Option<f64>)>,
     /// RMS of the 3-D error at the first target on poses that were not fitted, m; `None` without any.
     pub held_out: Option<f64>,
-    /// RMS of the angle to orientations that were not fitted, rad; `None` where none was measured.
+    /// RMS of the angle to orientations that were not fitted, rad; `None` if none was measured.
     pub held_out_turn: Option<f64>,
-    /// What a user must know of the fit.
+    /// Remarks on the fit.
     pub warnings: Vec<String>,
 }
 
 /// Measures a scenario's machine with every [`Sensor`] at the scenario's poses, identifies `mode` from each and predicts the verification set.
-/// The scenario's tracker reads every point, with noise of its own; what is stated of every offset has the scenario's uncertainty. The
-/// combined pose takes the places of its three points in the tool as exact. A scenario without a probe leaves that one out.
+/// The scenario's tracker reads every point, each with its own noise; the stated uncertainty of every offset is the scenario's. The combined
+/// pose takes the places of its three points in the tool as exact. Without a probe in the scenario that one is left out.
 ///
 /// # Errors
 ///
-/// [`PipelineError`], as a run; where a point cannot be read, too.
+/// [`PipelineError`], as for a run; also if a point cannot be read.
 pub fn compare_sensors(
     scenario: &Scenario,
     seed: u64,
     mode: Mode,
     progress: impl FnMut(u32, u32),
 ) -> Result<Vec<SensorResult>, PipelineError> {
-    // One reading a pose, from the first station: what differs is the sensor alone.
+    // One reading per pose, from the first station: only the sensor differs.
     let scenario = &Scenario { plan: SessionPlan::default(), ..scenario.clone() };
     let simulation = simulate(scenario, seed, 0, PlantKind::Rapier, progress)?;
     let machine = &simulation.truth.as_built;
@@ -131,7 +132,7 @@ pub fn compare_sensors(
 struct Study<'a> {
     scenario: &'a Scenario,
     seed: u64,
-    /// Where the scenario's own target really is in the flange frame, m.
+    /// The real place of the scenario's own target in the flange frame, m.
     first: Vector3<f64>,
 }
 
@@ -150,7 +151,7 @@ impl Study<'_> {
         stream_at(self.seed, 0, Source::SensorComparison, set << 34 | pose << 2 | point)
     }
 
-    /// What is stated of the targets, the same of all sets.
+    /// The statements about the targets, the same for all sets.
     fn targets(&self, sensor: Sensor) -> Vec<Target> {
         let covariance = self.scenario.target_covariance;
         let sigma = covariance[(0, 0)].sqrt();
@@ -196,7 +197,7 @@ impl Study<'_> {
         self.scenario.tracker.measure(&in_base, &Shot::default(), rng)
     }
 
-    /// A set with the readings of a sensor in place of its own.
+    /// A set with the readings of a sensor instead of its own.
     fn measured(
         &self,
         sensor: Sensor,

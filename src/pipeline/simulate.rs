@@ -1,4 +1,4 @@
-//! The session of a scenario, with what stands for its machine.
+//! The session of a scenario, with a choice of the machine's model.
 
 use super::machine::AnalyticMachine;
 use super::{PipelineError, PlantKind, SessionListener, Simulation, counting};
@@ -25,7 +25,7 @@ pub fn simulate(
     measure_session(scenario, seed, trial, plant, &mut counting(progress))
 }
 
-/// The same, told to `listener` while it goes on.
+/// The same, reported to `listener` while it goes on.
 pub fn measure_session(
     scenario: &Scenario,
     seed: u64,
@@ -50,7 +50,7 @@ pub fn measure_session(
     Ok(simulation)
 }
 
-/// Refuses stations that see too little of the sweeps that shall place them, with the reason.
+/// Refuses stations that see too little of the sweeps that are to place them, with the reason.
 fn check_sweeps(plan: &SessionPlan, simulation: &Simulation) -> Result<(), PipelineError> {
     let Some(set) = simulation.sets.first() else { return Ok(()) };
     for (index, station) in set.measurements.stations.iter().enumerate() {

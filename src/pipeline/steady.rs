@@ -1,26 +1,26 @@
-//! Readings freed from the motion of their trackers, and certificates that stations share, in one place before anything is fitted: of simulated, replayed and real sets alike.
+//! Readings corrected for the motion of their trackers, and certificates that stations share, in one place before anything is fitted: the same for
+//! simulated, replayed and real sets.
 
 use super::{PipelineError, SetOutcome};
 use calibrig_model::measurement::{MeasurementSet, StationDrift, Steady, remove_drift};
 
-/// Sets in which no tracker moves any more.
+/// Sets as if no tracker moved.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SteadySets {
     /// What is fitted and evaluated.
     pub sets: Vec<SetOutcome>,
-    /// What was measured; empty where that is the same.
+    /// What was measured; empty if that is the same.
     pub as_measured: Vec<SetOutcome>,
-    /// What the rounds of nests say, one entry a station whose nests were measured more than once.
+    /// What the rounds of nests say, one entry per station whose nests were measured more than once.
     pub drift: Vec<StationDrift>,
 }
 
-/// Removes what trackers drift by, as far as their nests tell it ([`remove_drift`]), and lets certified places that several stations have seen count
-/// once ([`MeasurementSet::share_certificates`]). Sets with the same stations are of one session, whose drift is
-/// one.
+/// Removes the drift of trackers, as far as their nests show it ([`remove_drift`]), and makes certified places that several stations have seen count
+/// once ([`MeasurementSet::share_certificates`]). Sets with the same stations are of one session, with one drift.
 ///
 /// # Errors
 ///
-/// Rounds of nests that make no sense.
+/// Errors for inconsistent rounds of nests.
 pub fn without_drift(sets: Vec<SetOutcome>) -> Result<SteadySets, PipelineError> {
     let mut freed: Vec<SetOutcome> = Vec::with_capacity(sets.len());
     let mut drift = Vec::new();

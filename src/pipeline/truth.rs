@@ -1,4 +1,4 @@
-//! What the identified parameters really are, where a simulation knows.
+//! The true values of the identified parameters, if a simulation knows them.
 
 use nalgebra::{Rotation3, UnitQuaternion, Vector3, Vector6};
 
@@ -12,38 +12,38 @@ use calibrig_model::{
 use calibrig_plant::effects::{Rail, RailProfile};
 use calibrig_plant::{AsBuilt, SettledPose};
 
-/// The truth beside what was known beforehand.
+/// The truth, with what was known beforehand.
 #[derive(Debug, Clone, Copy)]
 pub struct KnownTruth<'a> {
     /// The machine.
     pub as_built: &'a AsBuilt,
-    /// What identification was told.
+    /// What identification knew.
     pub nominal: &'a CalibrationModel,
     /// `tracker_from_base` of every station.
     pub stations: &'a [Transform],
-    /// What the readings of the one instrument that all stations have are off by, m, rad or 1; empty where not known.
+    /// Errors of the readings of the one instrument that all stations have, m, rad or 1; empty if unknown.
     pub instrument: &'a [(InstrumentTerm, f64)],
-    /// Real offsets of the targets beside the machine's own, in the flange frame, m.
+    /// Real offsets of the targets besides the machine's own, in the flange frame, m.
     pub further_targets: &'a [Vector3<f64>],
-    /// `flange_from_target` of the first target, where it has axes.
+    /// `flange_from_target` of the first target, if it has axes.
     pub orientation: Option<Rotation3<f64>>,
     /// As stated to identification.
     pub targets: &'a [Target],
-    /// The machine at rest in the poses of the identification set, whose loads tell the stiffness that stands for a drive that stiffens.
+    /// The machine at rest in the poses of the identification set, whose loads determine the equivalent stiffness of a stiffening drive.
     pub settled: &'a [SettledPose],
 }
 
 impl KnownTruth<'_> {
-    /// What the parameter really is, SI; `None` where the truth is not known or has no counterpart.
+    /// The true value of the parameter, SI; `None` if the truth is unknown or has no counterpart.
     ///
-    /// - link, four-bar: as-built minus nominal; to an actuator's own theta or d comes what its encoder is off by and, where the estimate has
-    ///   the term of its ratio, that error in the middle of the travel; compliance, mass: as-built over nominal, minus one. The compliance of a drive that
-    ///   stiffens is its secant's at the mean size of its load over the identification set, `None` where no pose tells that;
-    /// - term: what the machine's effect of that shape amounts to; zero where it has none;
+    /// - link, four-bar: as-built minus nominal; for an actuator's own theta or d, plus its encoder's offset and, if the estimate has the term of its
+    ///   ratio, that error in the middle of the travel; compliance, mass: as-built over nominal, minus one. The compliance of a stiffening drive is
+    ///   that of its secant at the mean size of its load over the identification set, `None` if no pose shows it;
+    /// - term: the amplitude of the machine's effect of that shape; zero if it has none;
     /// - frame: the estimate holds `station = prior · exp(value)` for the station's six components (absent ones are zero), so the prior
     ///   is recovered exactly and the truth is the `xi` of `prior · exp(xi) = tracker_from_base`;
     /// - target: as-built minus stated offset; of the first, what turns the stated orientation to the real one;
-    /// - instrument: its error to first order. No motion of a tracker is steady, so that a drift has none.
+    /// - instrument: its error to first order. A tracker's motion is not steady, so a drift has no truth.
     pub fn of(&self, estimate: &Estimate, id: ParameterId) -> Option<f64> {
         let value = match id {
             ParameterId::Link { link, term } => Some(self.link(id)? + self.zero_error(estimate, link, term)),
@@ -60,7 +60,7 @@ impl KnownTruth<'_> {
             ParameterId::Orientation { target: 0, axis } => {
                 let [stated] = self.targets else { return None };
                 let stated = stated.orientation.as_ref()?.flange_from_target;
-                // By a quaternion: where nothing was known, the two may be half a turn apart.
+                // By a quaternion: without a known orientation, the two may be half a turn apart.
                 let off = UnitQuaternion::from_rotation_matrix(&(stated.inverse() * self.orientation?));
                 off.scaled_axis().get(axis).copied()
             }
@@ -103,12 +103,12 @@ impl KnownTruth<'_> {
         Some(as_built.term(term) - nominal.term(term))
     }
 
-    /// The truth of all parameters of an estimate in their order, SI; `None` where that of one is not known.
+    /// The truth of all parameters of an estimate in their order, SI; `None` if that of one is unknown.
     pub fn values(&self, estimate: &Estimate) -> Option<Vec<f64>> {
         estimate.parameters.iter().map(|p| self.of(estimate, p.id)).collect()
     }
 
-    /// What the machine's effects add to the zero of an actuator that has this link parameter as its own variable, m or rad.
+    /// The machine's effects on the zero of an actuator that has this link parameter as its own variable, m or rad.
     fn zero_error(&self, estimate: &Estimate, link: usize, term: LinkTerm) -> f64 {
         let own = match self.nominal.kinematics.links.get(link).map(|link| link.kind) {
             Some(JointKind::Revolute) => LinkTerm::Theta,
@@ -118,7 +118,7 @@ impl KnownTruth<'_> {
         if term != own {
             return 0.0;
         }
-        // The elbow's motor stands on the waist: where the shoulder's is off, the parallelogram turns the elbow back, and the shoulder's own theta
+        // The elbow's motor is on the waist: an error of the shoulder is undone at the elbow by the parallelogram, but the shoulder's own theta
         // turns both.
         let zero = |actuator: usize| -> f64 {
             let commands = 0..self.nominal.kinematics.joint_count();
@@ -135,7 +135,7 @@ impl KnownTruth<'_> {
         zero(link) - shoulder
     }
 
-    /// What an actuator is off by everywhere.
+    /// The constant error of an actuator.
     fn actuator_zero(&self, estimate: &Estimate, actuator: usize) -> f64 {
         let effects = &self.as_built.effects;
         let ratio = effects.ratio.as_ref().and_then(|ratio| {
@@ -152,13 +152,13 @@ impl KnownTruth<'_> {
         encoder.and_then(|encoder| encoder.offset.get(actuator).copied()).unwrap_or(0.0)
     }
 
-    /// The amplitude of the term that is the machine's effect of the same shape, m or rad; `None` where its effect of that kind is of another.
+    /// The amplitude of the term with the shape of the machine's effect, m or rad; `None` if its effect of that kind has another shape.
     fn term(&self, term: TermId) -> Option<f64> {
         let effects = &self.as_built.effects;
         effects.check(self.nominal.kinematics.joint_count(), true).ok()?;
         match (term.family().key(), term.place()) {
             ("hysteresis", TermPlace::Actuator(actuator)) => {
-                // A flank that the load decides is no multiple of the approach's sign, nor is friction behind a spring that stiffens.
+                // A flank decided by the load is not a multiple of the approach's sign, nor is friction behind a stiffening spring.
                 let has = |values: &[f64]| values.get(actuator).is_some_and(|value| *value > 0.0);
                 if effects.lost_motion.as_ref().is_some_and(|lost| has(&lost.gap)) {
                     return None;
@@ -184,7 +184,7 @@ impl KnownTruth<'_> {
                 if harmonic.amplitude != [0.0; 2] && (harmonic.turns / turns - 1.0).abs() > 1e-9 {
                     return None;
                 }
-                // Equidistant points of one turn are orthogonal for all waves that are here.
+                // Equidistant points of one turn are orthogonal for all waves used here.
                 let points = (0..16).map(|k| (f64::from(k) / 16.0 / turns, 1.0));
                 let offset = self.encoder_offset(actuator);
                 projection(term, self.nominal, points, |command| harmonic.error(command + offset))

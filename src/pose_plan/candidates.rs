@@ -1,4 +1,4 @@
-//! Where candidates come from, and where the robot is to work.
+//! Sources of candidates, and the robot's working region.
 
 use super::{Candidate, Cell, Filter, MOST_LOOKED, PosePlanError, Request, SURVEYED};
 use calibrig_estimation::identification::{CalibratedRobot, reachable_poses};
@@ -8,12 +8,12 @@ use calibrig_model::{CalibrationModel, JointKind};
 use calibrig_plant::experiment::WorkingRegion;
 use rand::RngExt;
 
-/// Where candidates come from.
+/// Source of candidates.
 #[derive(Debug, Clone, PartialEq)]
 pub enum CandidateSource {
     /// Between the limits of all joints.
     WholeSpace,
-    /// The region where the robot is to work.
+    /// The robot's working region.
     Region,
     /// These joint variables.
     Listed(Vec<Vec<f64>>),
@@ -35,26 +35,26 @@ impl CandidateSource {
     }
 }
 
-/// Where a robot is to work: a box of joint variables.
+/// A working region: a box of joint variables.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Region {
-    /// Lowest and highest of every joint, rad or m; `None` for all that the robot can take.
+    /// Lowest and highest of every joint, rad or m; `None` for all that the robot can reach.
     sides: Option<Vec<[f64; 2]>>,
     name: String,
 }
 
 impl Region {
-    /// All that the robot can take.
+    /// All that the robot can reach.
     pub fn whole() -> Self {
         Self { sides: None, name: "the whole joint space".to_owned() }
     }
 
-    /// Whether it is only a part of what the robot can take.
+    /// Whether it is only a part of what the robot can reach.
     pub fn is_part(&self) -> bool {
         self.sides.is_some()
     }
 
-    /// Between these sides (rad or m, one a joint), as it is called.
+    /// Between these sides (rad or m, one per joint), with this name.
     pub fn between(sides: Vec<[f64; 2]>, name: &str) -> Self {
         Self { sides: Some(sides), name: name.to_owned() }
     }
@@ -65,7 +65,7 @@ impl Region {
         Self::between(sides.map(|(centre, half)| [centre - half, centre + half]).collect(), name)
     }
 
-    /// What it is called.
+    /// Its name.
     pub fn name(&self) -> &str {
         &self.name
     }
@@ -76,7 +76,7 @@ impl Region {
     }
 }
 
-/// The limits of every joint; a turn or a metre either way where it has none.
+/// The limits of every joint; a turn or a metre either way without limits.
 pub fn whole_space(model: &CalibrationModel) -> Vec<[f64; 2]> {
     let of = |link: &calibrig_model::CraigLink| {
         let half = if link.kind == JointKind::Revolute { std::f64::consts::PI } else { 1.0 };
@@ -119,7 +119,7 @@ pub(super) fn find(
         let most = request.candidates.saturating_mul(MOST_LOOKED);
         let mut wanted = request.candidates;
         while kept.len() < request.candidates && looked < most {
-            // The sequence goes on: what was looked at stays where it is.
+            // The sequence continues: poses that were tried stay where they are.
             let commands = candidate_commands(cell.model, &sides, wanted)?;
             for command in &commands[looked..] {
                 let mut joints = vec![0.0; command.len()];
@@ -145,7 +145,7 @@ pub(super) fn region(
     let sides = cell.region.ranges(cell.model);
     let surveyed = spread_in(cell.model, &sides, SURVEYED);
     let mut filter = Filter::new(robot, &cell.around, &surveyed)?;
-    // Of a region that somebody states nothing is left out but what the robot cannot take.
+    // In a stated region, only poses that the robot cannot reach are left out.
     let poses = spread_in(cell.model, &sides, 20 * count);
     let looked = poses.len();
     let kept: Vec<Candidate> =
@@ -165,7 +165,7 @@ pub(super) fn spread_in(model: &CalibrationModel, sides: &[[f64; 2]], count: usi
     reachable_poses(&boxed, count)
 }
 
-/// Poses by chance in the region that can be measured; `None` where hardly any can.
+/// Random measurable poses in the region; `None` if there are hardly any.
 pub(super) fn drawn_in(
     cell: &Cell<'_>,
     robot: &CalibratedRobot,

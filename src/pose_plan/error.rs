@@ -6,7 +6,7 @@ use crate::pipeline::PipelineError;
 use calibrig_estimation::identification::PredictionError;
 use calibrig_estimation::planning::PlanError;
 
-/// Poses that cannot be planned.
+/// Why poses cannot be planned.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum PosePlanError {
@@ -25,22 +25,22 @@ pub enum PosePlanError {
         reasons(refused)
     )]
     TooFew {
-        /// Those that can.
+        /// The measurable ones.
         kept: usize,
-        /// Looked at.
+        /// Those that were tried.
         drawn: usize,
         /// To be chosen.
         wanted: usize,
         /// How many were refused, and why; the most first.
         refused: Vec<(String, usize)>,
     },
-    /// Numbers of poses end.
+    /// Pose numbers run out.
     #[error(
         "pose numbers leave no room for {count} more: the next would be {next}, but the last possible is {}",
         u32::MAX
     )]
     NoNumbers {
-        /// Of the first pose that has none yet.
+        /// Number of the first new pose.
         next: u32,
         /// Poses that are to be numbered.
         count: usize,
@@ -53,15 +53,15 @@ pub enum PosePlanError {
         /// Of the robot.
         joints: usize,
     },
-    /// No pose where the robot is to work.
+    /// No pose in the working region.
     #[error("the nominal robot can take none of {looked} poses of the working region{}", reasons(refused))]
     NoRegion {
-        /// Looked at.
+        /// Those that were tried.
         looked: usize,
         /// Why not.
         refused: Vec<(String, usize)>,
     },
-    /// An accuracy that is asked for without a number of poses, and is out of reach.
+    /// An unreachable accuracy without a number of poses.
     #[error("no number of poses reaches {:.4} mm: {why}", 1e3 * accuracy)]
     OutOfReach {
         /// m
@@ -77,7 +77,7 @@ fn reasons(refused: &[(String, usize)]) -> String {
 }
 
 impl PosePlanError {
-    /// One thing to try.
+    /// A suggestion.
     pub fn help(&self) -> &'static str {
         match self {
             Self::TooFew { .. } => {

@@ -1,4 +1,4 @@
-//! Which candidates can be measured: asked of the nominal robot (or of the one that a session before found).
+//! Which candidates can be measured, by the nominal robot (or the one that an earlier session found).
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -14,26 +14,26 @@ use calibrig_model::{ActuatorMap, KinematicModel, PoseQuery};
 /// A tracker at its place.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stand {
-    /// Where it stands.
+    /// Its place.
     pub base_from_tracker: Transform,
-    /// What it can point at.
+    /// Its range and angles.
     pub reach: TrackerReach,
 }
 
-/// What stands around the robot.
+/// The robot's surroundings.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Surroundings {
-    /// Its links, by which it touches itself and the floor.
+    /// Its links, for contacts with itself and the floor.
     pub obstacles: Obstacles,
-    /// The trackers, one a station in their order; empty where nobody knows where they stand, and then every target is taken as seen.
+    /// The trackers, one per station in their order; empty if their places are unknown, and then every target is taken as visible.
     pub trackers: Vec<Stand>,
-    /// One a target in their order, with its opening.
+    /// One per target in their order, with its opening.
     pub reflectors: Vec<Reflector>,
-    /// What can be between a tracker and a target; `None` where lines of sight are taken as free.
+    /// What can be between a tracker and a target; `None` if lines of sight are taken as free.
     pub hides: Option<Obstacles>,
-    /// How much nearer to links and floor no pose comes, m: the real robot is not the nominal one.
+    /// Clearance of poses from links and floor, m: the real robot is not the nominal one.
     pub clearance: f64,
-    /// How far angles stay from what a tracker or a reflector allows, rad.
+    /// Margin to the angles that a tracker or a reflector allows, rad.
     pub angle: f64,
 }
 
@@ -42,17 +42,17 @@ pub struct Surroundings {
 pub enum Refused {
     /// A joint beyond its limits, by its name.
     Limits(String),
-    /// The linkage does not close, or the robot comes to no rest.
+    /// The linkage does not close, or the robot does not come to rest.
     NoRest,
     /// Two parts of the robot touch.
     Touches(String, String),
     /// A part of the robot is below the floor.
     Floor(String),
-    /// Too near to the tracker, or too far.
+    /// Too close to the tracker, or too far.
     Range,
-    /// Beyond the tracker's angles.
+    /// Outside the tracker's angles.
     Angles,
-    /// The reflector looks elsewhere.
+    /// The reflector faces elsewhere.
     Turned,
     /// A link is in between.
     HiddenBy(String),
@@ -81,9 +81,9 @@ impl fmt::Display for Refused {
 pub struct Candidate {
     /// Joint variables, rad or m.
     pub joints: Vec<f64>,
-    /// Where the first target is, in the base frame, m.
+    /// The first target's place, in the base frame, m.
     pub target: Vector3<f64>,
-    /// Station and target of every free line of sight; `None` where it was not looked at, and all are taken as free.
+    /// Station and target of every free line of sight; `None` if not checked, and all are taken as free.
     pub seen: Option<Vec<[usize; 2]>>,
 }
 
@@ -94,10 +94,10 @@ impl Candidate {
     }
 }
 
-/// What is behind the last link.
+/// What is after the last link.
 const TARGET: &str = "the target";
 
-/// The filters of a robot in its surroundings, with what they refused.
+/// The filters of a robot in its surroundings, with counts of refusals.
 pub struct Filter<'a> {
     around: &'a Surroundings,
     kinematics: &'a KinematicModel,
@@ -105,20 +105,20 @@ pub struct Filter<'a> {
     predictor: Predictor<'a>,
     planes: Vec<(UnitVector3<f64>, f64)>,
     built: Built,
-    /// The links somewhat larger.
+    /// The links, slightly enlarged.
     larger: Option<Obstacles>,
-    /// Nearly all that the trackers can point at.
+    /// The trackers' ranges, slightly reduced.
     reaches: Vec<TrackerReach>,
     /// How many were refused, and why.
     pub refused: BTreeMap<Refused, usize>,
 }
 
 impl<'a> Filter<'a> {
-    /// The filters of a robot. What touches in nearly all of the `surveyed` poses (joint variables) does so by the way the robot is described.
+    /// The filters of a robot. Contacts in nearly all of the `surveyed` poses (joint variables) are due to the robot's description.
     ///
     /// # Errors
     ///
-    /// [`PredictionError`], of a robot that cannot be one.
+    /// [`PredictionError`] for an invalid robot.
     pub fn new(
         robot: &'a CalibratedRobot,
         around: &'a Surroundings,
@@ -150,13 +150,13 @@ impl<'a> Filter<'a> {
         }
     }
 
-    /// The candidate at joint variables; `None` where it is refused, which is counted.
+    /// The candidate at joint variables; `None` if it is refused, which is counted.
     pub fn take(&mut self, joints: Vec<f64>) -> Option<Candidate> {
         let looked = self.reached(&joints).and_then(|target| Ok((target, self.seen(&joints)?)));
         self.counted(looked.map(|(target, seen)| Candidate { joints, target, seen }))
     }
 
-    /// The same of a pose where the robot works, which no tracker has to see.
+    /// The same for a pose of the working region, which no tracker has to see.
     pub fn works_at(&mut self, joints: Vec<f64>) -> Option<Candidate> {
         let reached = self.reached(&joints);
         self.counted(reached.map(|target| Candidate { joints, target, seen: None }))
@@ -174,7 +174,7 @@ impl<'a> Filter<'a> {
         words
     }
 
-    /// Where the target is, where the robot can be.
+    /// The target's place, if the robot can be there.
     fn reached(&mut self, joints: &[f64]) -> Result<Vector3<f64>, Refused> {
         const ROUNDING: f64 = 1e-9;
         for (q, link) in joints.iter().zip(&self.kinematics.links) {
@@ -193,7 +193,7 @@ impl<'a> Filter<'a> {
         }
     }
 
-    /// Which tracker sees which target, with room to spare; of a pose where none sees any, why.
+    /// Which tracker sees which target, with a margin; if none sees any, the reason.
     fn seen(&self, joints: &[f64]) -> Result<Option<Vec<[usize; 2]>>, Refused> {
         let (mut seen, mut first) = (Vec::new(), None);
         if self.around.trackers.is_empty() {
@@ -225,13 +225,13 @@ impl<'a> Filter<'a> {
             return reach.point_at(from, &target).map(|_| ());
         };
         let strict = Reflector { acceptance: (own.acceptance - self.around.angle).max(0.0), ..*own };
-        // A larger shape that holds the target hides nothing: both are asked.
+        // An enlarged shape that contains the target hides nothing: both are checked.
         hides.look(from, reach, stance, &strict)?;
         larger.look(from, reach, stance, &strict).map(|_| ())
     }
 }
 
-/// What a tracker can point at, less what a real robot is beside the nominal one.
+/// The tracker's range, minus the difference of a real robot from the nominal one.
 fn within(reach: &TrackerReach, around: &Surroundings) -> TrackerReach {
     let less = |[low, high]: [f64; 2], by: f64| {
         if high - low > 2.0 * by { [low + by, high - by] } else { [low, high] }

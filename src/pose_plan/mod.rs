@@ -1,5 +1,5 @@
-//! Which poses to measure with a robot before its trackers: candidates that it can take and that are seen, those that tell most, in an order
-//! to be driven, and how well they let the robot be predicted where it is to work. The nominal robot is asked, or the one that a session before found.
+//! Which poses to measure with a robot in front of its trackers: reachable and visible candidates, the most informative of them, in an order to drive
+//! them, and the predicted accuracy in the working region. Uses the nominal robot, or the one that an earlier session found.
 
 mod candidates;
 mod error;
@@ -32,7 +32,7 @@ use calibrig_plant::session::StationShare;
 use calibrig_plant::tracker::{Instrument, LaserTracker, Limits, Preset};
 use candidates::drawn_in;
 
-/// A robot, its surroundings and what is read of it.
+/// A robot, its surroundings and its readings.
 #[derive(Debug, Clone)]
 pub struct Cell<'a> {
     /// Its name for people.
@@ -41,64 +41,64 @@ pub struct Cell<'a> {
     pub model: &'a CalibrationModel,
     /// How the measurements will be identified.
     pub options: IdentificationOptions,
-    /// What is around it.
+    /// Its surroundings.
     pub around: Surroundings,
-    /// What would be read.
+    /// The planned readings.
     pub readings: Readings<'a>,
-    /// Where it is to work.
+    /// Its working region.
     pub region: Region,
-    /// What was measured before, and what was found.
+    /// Earlier measurements, and their results.
     pub before: Option<(MeasurementSet, Estimate)>,
 }
 
-/// What is asked for.
+/// Settings of a plan.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Request {
-    /// Poses to choose; without, as many as the accuracy needs.
+    /// Number of poses to choose; without, as many as the accuracy needs.
     pub poses: Option<usize>,
-    /// Accuracy that is to be reached, m.
+    /// Accuracy to reach, m.
     pub accuracy: Option<f64>,
-    /// Of which figure of the standard deviations over the region.
+    /// Which figure of the standard deviations over the region.
     pub figure: Figure,
-    /// By what.
+    /// The criterion.
     pub criterion: Criterion,
-    /// Candidates that can be measured.
+    /// Number of measurable candidates.
     pub candidates: usize,
-    /// From where.
+    /// Their source.
     pub source: CandidateSource,
-    /// Random starts beside the greedy one.
+    /// Random starts, in addition to the greedy one.
     pub starts: u32,
     /// Seed of these, of drawn robots and of random poses.
     pub seed: u64,
-    /// Robots as they could have been made beside the nominal one.
+    /// Robots drawn within their tolerances, in addition to the nominal one.
     pub robots: u32,
-    /// What counts of these.
+    /// How these count.
     pub over: Over,
     /// Whether a pose may be measured more than once.
     pub repeats: bool,
-    /// Most poses of the curve where an accuracy is asked for.
+    /// Most poses of the curve if an accuracy is asked for.
     pub most: usize,
     /// Speeds of the joints, m/s and rad/s; empty for [`usual_speeds`].
     pub speeds: Vec<f64>,
-    /// What an order is judged by beside the time of driving.
+    /// Further criteria of the order, besides the driving time.
     pub weights: OrderWeights,
 }
 
-/// Candidates where no number is asked for: more of them better a plan by some per cent.
+/// Default number of candidates: more of them improve a plan by a few per cent.
 pub const CANDIDATES: usize = 2000;
-/// The least of them.
+/// Its least value.
 const LEAST_CANDIDATES: usize = 500;
-/// Poses of the curve where no number is asked for.
+/// Default number of poses of the curve.
 pub const MOST_POSES: usize = 200;
-/// Poses at which the region is looked at.
+/// Number of poses that represent the region.
 const OF_REGION: usize = 200;
-/// Draws of random poses that a plan is compared with.
+/// Draws of random poses with which a plan is compared.
 const DRAWS: u32 = 20;
-/// Candidates looked at for one that can be measured, at most.
+/// Most poses tried per measurable candidate.
 const MOST_LOOKED: usize = 50;
-/// Poses in which it is looked at what touches by build.
+/// Poses that show which contacts are due to the robot's description.
 const SURVEYED: usize = 500;
-/// m/s and rad/s: as a robot is driven from pose to pose while people are near its reach.
+/// m/s and rad/s: the speed of a robot driven from pose to pose with people near its reach.
 const SPEEDS: [f64; 2] = [0.25, 0.25];
 
 impl Default for Request {
@@ -117,13 +117,13 @@ impl Default for Request {
             repeats: false,
             most: MOST_POSES,
             speeds: Vec::new(),
-            // A joint that is always approached from one side is worth a minute of driving, a drift that the parameters take up as a whole ten minutes.
+            // A joint that is always approached from one side costs a minute of driving, a drift that the parameters take up as a whole ten minutes.
             weights: OrderWeights { balance: 60.0, drift: 600.0 },
         }
     }
 }
 
-/// Candidates where no number is asked for: fewer where a pose has many readings, whose search takes longer by their square.
+/// Default number of candidates: fewer if a pose has many readings, because the search time grows with their square.
 pub fn usual_candidates(cell: &Cell<'_>) -> usize {
     let stations = match &cell.readings {
         Readings::Stated { set, .. } => set.stations.len(),
@@ -142,7 +142,7 @@ pub fn usual_speeds(model: &CalibrationModel) -> Vec<f64> {
     model.kinematics.links.iter().map(|link| speed(link.kind)).collect()
 }
 
-/// A step of planning, for those who wait.
+/// A step of planning, for progress.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Step {
     /// What is done, in words.
@@ -249,7 +249,7 @@ pub fn plan(
     Ok(plan)
 }
 
-/// What a search found.
+/// Result of a search.
 struct Planned {
     found: candidates::Found,
     region: Vec<Candidate>,
@@ -305,7 +305,7 @@ fn told(cell: &Cell<'_>, request: &Request, space: &DesignSpace, planned: Planne
 }
 
 impl Cell<'_> {
-    /// The robot that is asked.
+    /// The robot in use.
     fn robot(&self) -> CalibratedRobot {
         match &self.before {
             Some((_, estimate)) => estimate.robot.clone(),
@@ -313,7 +313,7 @@ impl Cell<'_> {
         }
     }
 
-    /// Candidates as they are measured, beside what was measured before; and the numbers of the latter.
+    /// Candidates as they are measured, together with earlier measurements; and the numbers of the latter.
     fn set_of(&self, poses: &[Candidate], count: usize) -> Result<(MeasurementSet, Vec<u32>), PosePlanError> {
         let mut set = readings::read(&self.readings, poses, count, self.first_pose())?;
         let Some((before, _)) = &self.before else { return Ok((set, Vec::new())) };
@@ -330,7 +330,7 @@ impl Cell<'_> {
         measured.map(|own| own.pose.saturating_add(1)).max().unwrap_or(0)
     }
 
-    /// Number of the first pose of the plan: they count from 1, or on.
+    /// Number of the first pose of the plan: poses count from 1, or continue.
     fn next_number(&self) -> u32 {
         self.first_pose().max(1)
     }
@@ -374,7 +374,7 @@ fn growth(spaces: &[DesignSpace], choice: &Choice, request: &Request) -> Result<
         None => request.most,
     };
     let most = if choice.repeats { most } else { most.min(spaces[0].candidates()) };
-    // Fewer poses than have a coordinate a parameter live on what is known beforehand, and would hide the knee.
+    // Fewer poses than one coordinate per parameter rely on priors, and would hide the knee.
     let least = spaces[0].parameters().len().div_ceil(spaces[0].most_rows().max(1));
     let least = least.min(request.poses.unwrap_or(most)).min(most);
     let ladder =
@@ -386,7 +386,7 @@ fn growth(spaces: &[DesignSpace], choice: &Choice, request: &Request) -> Result<
     loop {
         let least = match grow(spaces, choice, &counts) {
             Err(PlanError::TooFewPoses { least, .. }) => least,
-            // Few poses may have rows enough, and all about the same.
+            // A few poses may have enough rows that are all alike.
             Err(PlanError::Singular { .. }) if counts.len() > 1 => counts[0] + 1,
             other => return Ok(other?),
         };
@@ -398,7 +398,7 @@ fn growth(spaces: &[DesignSpace], choice: &Choice, request: &Request) -> Result<
     }
 }
 
-/// What random poses of the region would tell, as many and twice as many; else why that is not known, in words.
+/// What as many and twice as many random poses of the region would determine; else why that is unknown, in words.
 fn as_drawn(
     cell: &Cell<'_>,
     robot: &CalibratedRobot,
@@ -530,7 +530,7 @@ fn remarks(
     remarks
 }
 
-/// The surroundings as a scenario states them, of its nominal robot.
+/// The surroundings stated in a scenario, for its nominal robot.
 pub fn surroundings_of(scenario: &Scenario, clearance: f64, angle: f64) -> Surroundings {
     let robot = &scenario.robot;
     let kinematics = &robot.model.kinematics;

@@ -15,7 +15,7 @@ pub enum Figure {
     Rms,
     /// Mean.
     Mean,
-    /// What 95 % of the poses stay below.
+    /// Value that 95 % of the poses stay below.
     Quantile95,
     /// Largest.
     Largest,
@@ -59,19 +59,19 @@ impl Figure {
 /// A pose of the plan.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ChosenPose {
-    /// Its number: poses of a plan count from 1, those after a session go on.
+    /// Its number: poses of a plan count from 1, those after a session continue.
     pub pose: u32,
     /// Joint variables, rad or m.
     pub joints: Vec<f64>,
-    /// Command, rad or m, one number a joint.
+    /// Command, rad or m, one number per joint.
     pub command: Vec<f64>,
-    /// Sign of every joint's last motion on the way from the pose before; 0 where it has not moved yet.
+    /// Sign of every joint's last motion on the way from the pose before; 0 if it has not moved yet.
     pub approach: Vec<i8>,
-    /// Where the first target is, in the base frame, m.
+    /// The first target's place, in the base frame, m.
     pub target: Vector3<f64>,
 }
 
-/// What random poses of the region would tell.
+/// Information of random poses of the region.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AsDrawn {
     /// How many poses.
@@ -80,12 +80,12 @@ pub struct AsDrawn {
     pub draws: u32,
     /// The figure of every draw that determines the parameters, m, ascending.
     pub values: Vec<f64>,
-    /// The same of what the parameters leave open, without the machine's noise, m, ascending.
+    /// The same without the machine's noise, m, ascending.
     pub of_parameters: Vec<f64>,
 }
 
 impl AsDrawn {
-    /// The middle one, m: with the machine's noise, and of what the parameters leave open.
+    /// The median, m: with the machine's noise, and without.
     pub fn medians(&self) -> [f64; 2] {
         [&self.values, &self.of_parameters].map(|values| median(values))
     }
@@ -100,7 +100,7 @@ fn median(ascending: &[f64]) -> f64 {
     }
 }
 
-/// What an order costs before it is made and after.
+/// Costs of the order of the candidates and of the plan's order.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OrderChange {
     /// In the order of the candidates.
@@ -109,48 +109,49 @@ pub struct OrderChange {
     pub after: OrderCost,
 }
 
-/// Planned poses, and what they are worth.
+/// Planned poses, and their information.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PosePlan {
     /// Name of the scenario or robot.
     pub name: String,
     /// Which model is to be identified.
     pub mode: Mode,
-    /// What the poses were chosen by.
+    /// The criterion of the choice.
     pub criterion: Criterion,
-    /// Which figure of the predicted standard deviations is told first.
+    /// Which figure of the predicted standard deviations is given first.
     pub figure: Figure,
     /// Of all draws.
     pub seed: u64,
-    /// Robots as they could have been made that the plan is for, beside the nominal one.
+    /// Robots drawn within their tolerances for which the plan is made, in addition to the nominal one.
     pub robots: u32,
-    /// Where the candidates come from, in words.
+    /// Source of the candidates, in words.
     pub source: String,
-    /// Candidates that were looked at.
+    /// Candidates that were tried.
     pub looked: usize,
     /// Candidates that can be measured.
     pub candidates: usize,
-    /// Why others cannot, and how many; the most first.
+    /// Why others cannot, and how many; the most frequent first.
     pub refused: Vec<(String, usize)>,
-    /// Where the targets of the candidates are, m.
+    /// The targets' places at the candidates, m.
     pub places: Vec<Vector3<f64>>,
-    /// What the measurements tell of.
+    /// The parameters of the fit.
     pub parameters: Vec<ParameterId>,
-    /// What of every parameter displaces the readings of the mean candidate by one standard deviation, SI.
+    /// Scale of every parameter: the change that displaces the readings of the mean candidate by one standard
+    /// deviation, SI.
     pub scale: Vec<f64>,
     /// The poses in their order.
     pub poses: Vec<ChosenPose>,
-    /// What they tell.
+    /// Their information.
     pub figures: DesignFigures,
     /// Value of the criterion.
     pub value: f64,
-    /// Whether no exchange of one pose betters it.
+    /// Whether no exchange of one pose improves it.
     pub settled: bool,
-    /// What random poses would tell: as many, and twice as many; empty where hardly any can be drawn.
+    /// What as many, and twice as many, random poses would determine; empty if hardly any can be drawn.
     pub random: Vec<AsDrawn>,
     /// Accuracy against number.
     pub growth: Growth,
-    /// What was to be reached, m.
+    /// Accuracy to reach, m.
     pub accuracy: Option<f64>,
     /// How many poses that needs.
     pub needed: Option<Needed>,
@@ -158,19 +159,19 @@ pub struct PosePlan {
     pub order: OrderChange,
     /// Poses that were measured before.
     pub measured: usize,
-    /// Where predictions are for, in words.
+    /// Region of the predictions, in words.
     pub region: String,
-    /// Where the target is there, m.
+    /// The target's places there, m.
     pub region_places: Vec<Vector3<f64>>,
     /// Lowest and highest joint variables there, rad or m.
     pub region_ranges: Vec<[f64; 2]>,
-    /// Where the trackers stand, m; empty where that is not known.
+    /// The trackers' places, m; empty if unknown.
     pub trackers: Vec<Vector3<f64>>,
     /// Name, kind and limits of every joint.
     pub links: Vec<(String, JointKind, [f64; 2])>,
     /// Which of them are commanded.
     pub commanded: Vec<bool>,
-    /// What a person should know.
+    /// Remarks.
     pub remarks: Vec<String>,
 }
 
@@ -180,7 +181,7 @@ impl PosePlan {
         self.figures.accuracy.map(|accuracy| self.figure.of(&accuracy.with_machine))
     }
 
-    /// The parameters that the poses tell least of, with their standard deviations, SI: by what these displace the readings.
+    /// The least determined parameters, with their standard deviations, SI: by how far these displace the readings.
     pub fn weakest(&self, most: usize) -> Vec<(ParameterId, f64)> {
         let mut all: Vec<(ParameterId, f64, f64)> = self
             .parameters
@@ -193,7 +194,7 @@ impl PosePlan {
         all.into_iter().take(most).map(|(id, sigma, _)| (id, sigma)).collect()
     }
 
-    /// How many poses the accuracy needs, in words; `None` where none was asked for.
+    /// How many poses the accuracy needs, in words; `None` if none was asked for.
     pub fn needed_words(&self) -> Option<String> {
         let (accuracy, needed) = (self.accuracy?, self.needed?);
         Some(match needed {

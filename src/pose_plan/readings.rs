@@ -1,4 +1,4 @@
-//! The readings that a session of any poses would take, as those who plan know it: of a scenario, or as somebody states them.
+//! The readings that a session of any poses would take, as known in advance: from a scenario, or as stated.
 
 use std::ops::Range;
 
@@ -14,36 +14,36 @@ use super::{Candidate, PosePlanError};
 use crate::pipeline::planned;
 use crate::scenario::Scenario;
 
-/// Who says what would be read.
+/// Source of the readings.
 #[derive(Debug, Clone)]
-// One a plan.
+// One per plan.
 #[allow(clippy::large_enum_variant)]
 pub enum Readings<'a> {
-    /// The session of a scenario, with the nominal robot in place of its machine.
+    /// The session of a scenario, with the nominal robot instead of its machine.
     Scenario(&'a Scenario),
-    /// Every target from every station that is stated and sees it, of this robot.
+    /// Every target from every stated station that sees it, with this robot.
     Stated {
-        /// The robot: the nominal one, or the one that a session before found.
+        /// The robot: the nominal one, or the one that an earlier session found.
         robot: CalibratedRobot,
-        /// Stations and targets; of a session before with what was measured.
+        /// Stations and targets; of an earlier session, with its measurements.
         set: MeasurementSet,
         /// Of a reading.
         noise: Noise,
     },
 }
 
-/// How a reading scatters.
+/// Noise of a reading.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Noise {
     /// As of an instrument at its distance.
     Instrument(Instrument),
     /// Standard deviation of every coordinate, m.
     Coordinate(f64),
-    /// As the estimate of a session before found it.
+    /// As found by the estimate of an earlier session.
     Found,
 }
 
-/// The set of `poses`, numbered on from `first`, as a session of `count` of them would measure each.
+/// The set of `poses`, numbered from `first` on, as a session of `count` of them would measure each.
 pub(super) fn read(
     readings: &Readings<'_>,
     poses: &[Candidate],
@@ -77,11 +77,11 @@ fn of_scenario(
     session.identification_poses = u32::try_from(poses.len()).unwrap_or(u32::MAX);
     session.listed[0] = Some(poses.iter().map(|own| own.joints.clone()).collect());
     let SessionPlan { rounds, timing, payloads, .. } = &mut session.plan;
-    // Nests once: rounds between all candidates would place the tracker far better than those of the poses that are chosen.
+    // Nests once: rounds between all candidates would place the tracker far better than those between the chosen poses.
     let again = rounds.every > 0 || rounds.after;
     *rounds = NestRounds { every: 0, after: false, ..*rounds };
     if again {
-        // What drifts is freed from it.
+        // Drift is removed.
         session.tracker.conditions = Conditions { drift: None, ..session.tracker.conditions };
     }
     let share = count as f64 / poses.len().max(1) as f64;
@@ -89,7 +89,7 @@ fn of_scenario(
     payloads.order = PayloadOrder::Cycle;
     session.plan.order = PoseOrder::AsDrawn;
     let mut set = planned(&session)?;
-    // Poses of a session count from zero; those that nobody sees have no observation.
+    // Poses of a session count from zero; invisible ones have no observation.
     set.observations.iter_mut().for_each(|own| own.pose = own.pose.saturating_add(first));
     Ok(set)
 }

@@ -112,8 +112,8 @@ enum DistributionFile {
     Uniform,
 }
 
-/// The machine with its `effects`, and the distribution of those that trials draw. `robot_key` is where the file names the robot. Of one without
-/// statics, which has to be rigid, nothing is told by its gravity but where up is.
+/// The machine with its `effects`, and the distribution from which trials draw. `robot_key` is where the file names the robot. For one without
+/// statics, which has to be rigid, gravity only states which way is up.
 pub(super) fn as_built(
     source: &Source,
     file: &AsBuiltFile,
@@ -178,7 +178,7 @@ pub(super) fn as_built(
     Ok((machine, drawn.transpose()?))
 }
 
-/// What stands for the statics of a robot of which none are known and nothing yields: its bodies of a kilogram bend nothing.
+/// Placeholder for the statics of a rigid robot without known ones: its bodies of a kilogram deflect nothing.
 fn weightless(joints: usize, gravity: Vector3<f64>) -> StaticProperties {
     let body = Body { mass: 1.0, centre_of_mass: Vector3::zeros(), inertia: Matrix3::identity() };
     StaticProperties::of_drives(vec![body; joints], vec![f64::INFINITY; joints], gravity)
@@ -193,7 +193,7 @@ impl Reader<'_> {
         self.source.error(span, message, Some(format!("expected {expected}")))
     }
 
-    /// Zero where the key is not there.
+    /// Zero if the key is missing.
     fn number(&self, key: &str, unit: f64, value: Option<&Spanned<f64>>) -> Result<f64, InputError> {
         value.map_or(Ok(0.0), |value| Ok(unit * self.source.finite(key, value)?))
     }
@@ -274,7 +274,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Puts the crank's axis off the nominal one, and says by name where that alone opens the loop.
+    /// Displaces the crank's axis from the nominal one, and reports by name if that alone opens the loop.
     fn crank_axis(&self, file: &LinkageFile, machine: &mut AsBuilt) -> Result<(), InputError> {
         let coaxial = linkage_fault(&machine.kinematics, &machine.actuators);
         let Some(linkage) = machine.linkage_mut() else { return Ok(()) };
@@ -439,7 +439,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Refuses a spread of the four-bar whose extremes (three standard deviations of a normal one) do not work.
+    /// Refuses a spread of the four-bar whose extremes (three standard deviations of a normal one) do not close.
     fn check_drawn_linkages(
         &self,
         table: &Spanned<DrawnFile>,

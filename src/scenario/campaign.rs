@@ -15,7 +15,7 @@ use calibrig_files::{InputError, Source, Spanned};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Layout {
-    /// Every trial is drawn for itself.
+    /// Every trial has its own draw.
     #[default]
     Plain,
     /// All combinations of the levels of one or two factors, with common random numbers.
@@ -38,7 +38,7 @@ pub struct CampaignPlan {
     pub size: Option<u64>,
     /// Levels of a factor in a screening.
     pub levels: usize,
-    /// Within which a calibrated robot counts as a success, m.
+    /// Error up to which a calibrated robot counts as a success, m.
     pub tolerance: Option<f64>,
     /// What varies.
     pub factors: Vec<Factor>,
@@ -57,7 +57,7 @@ impl Default for CampaignPlan {
     }
 }
 
-/// A value of the scenario's file, or several, that differ from trial to trial.
+/// One or more values of the scenario's file that differ from trial to trial.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Factor {
     /// For people.
@@ -68,11 +68,11 @@ pub struct Factor {
     pub scale: bool,
     /// Whether values are rounded to whole numbers.
     pub whole: bool,
-    /// What it can be.
+    /// Its values.
     pub values: FactorValues,
 }
 
-/// What a factor can be.
+/// The values of a factor.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FactorValues {
@@ -87,7 +87,7 @@ impl Factor {
     pub fn at(&self, coordinate: Coordinate) -> String {
         let number = match (&self.values, coordinate) {
             (FactorValues::Drawn(distribution), Coordinate::Unit(unit)) => distribution.quantile(unit),
-            // A sweep goes over levels; where there are none, the middle stands for all.
+            // A sweep uses levels; without levels, the middle stands for all.
             (FactorValues::Drawn(distribution), Coordinate::Level(_)) => distribution.quantile(0.5),
             (FactorValues::Levels(levels), at) => {
                 let last = levels.len().saturating_sub(1);
@@ -120,22 +120,22 @@ impl Factor {
     }
 }
 
-/// Trials of a campaign that says nothing else.
+/// Default number of trials.
 const USUAL: u64 = 100;
-/// Trials of each combination of a sweep.
+/// Default number of trials per combination of a sweep.
 const USUAL_REPEATS: u64 = 50;
-/// Rows of the base of indices: their intervals are then some hundredths to a tenth wide.
+/// Default number of rows of the base of indices: their intervals are then some hundredths to a tenth wide.
 const USUAL_BASE: u64 = 256;
-/// Trajectories and levels of a screening, as is usual.
+/// Default trajectories and levels of a screening.
 const USUAL_TRAJECTORIES: u64 = 20;
 const USUAL_LEVELS: usize = 4;
 
 impl CampaignPlan {
-    /// The design, with as many `trials` in all where that is asked for, which must be possible.
+    /// The design, with this total number of `trials` if given, which must be possible.
     ///
     /// # Errors
     ///
-    /// What there can be instead, in words.
+    /// The possible numbers instead, in words.
     pub fn design(&self, trials: Option<u64>) -> Result<Design, String> {
         let mut design = self.of_size(self.size.unwrap_or(match self.layout {
             Layout::Plain => USUAL,
@@ -183,13 +183,13 @@ impl CampaignPlan {
 }
 
 impl Scenario {
-    /// The scenario with these values of its campaign's factors, one a factor, as TOML has them; itself where nothing varies.
+    /// The scenario with these values of its campaign's factors, one per factor, as TOML has them; itself if nothing varies.
     ///
     /// # Errors
     ///
-    /// What the file would be refused for if it said so.
+    /// Refused as the file would be with these values.
     ///
-    /// It is read again from its text: what was changed in memory alone is not in it.
+    /// It is read again from its text: changes made only in memory are lost.
     pub fn with_factors(&self, values: &[String]) -> Result<Self, InputError> {
         let Some((_, source)) = self.sources.first() else { return Ok(self.clone()) };
         let factors = self.campaign.as_ref().map_or(&[][..], |plan| &plan.factors);
@@ -210,7 +210,7 @@ impl Scenario {
 }
 
 impl Factor {
-    /// What takes the place of a stated value.
+    /// The text that replaces a stated value.
     fn literal(&self, stated: &str, value: &str) -> String {
         let scaled = || Some(stated.replace('_', "").parse::<f64>().ok()? * value.parse::<f64>().ok()?);
         match self.scale.then(scaled).flatten() {
@@ -294,7 +294,7 @@ pub(super) fn campaign(source: &Source, section: &Spanned<CampaignFile>) -> Resu
     Ok(plan)
 }
 
-/// The size that goes with the design; one that goes with another is refused.
+/// The size that belongs to the design; one of another design is refused.
 fn size(source: &Source, file: &CampaignFile) -> Result<Option<u64>, InputError> {
     let mut size = None;
     for (key, value, layout, design) in [
@@ -372,7 +372,7 @@ fn factor(source: &Source, layout: Layout, entry: &Spanned<FactorFile>) -> Resul
     Ok(Factor { name, keys, scale: file.scale, whole: file.whole, values })
 }
 
-/// Refuses a key that the file has no value of, or several, or one that cannot be multiplied.
+/// Refuses a key for which the file has no value, or several, or one that cannot be multiplied.
 fn check_key(source: &Source, key: &Spanned<String>, file: &FactorFile) -> Result<(), InputError> {
     let refused = |message: String, help: String| Err(source.error(key.span(), message, Some(help)));
     let name = key.get_ref();
@@ -435,7 +435,7 @@ fn literals(
     let mut literals = Vec::new();
     for level in levels.get_ref() {
         let written = source.text.get(level.span()).unwrap_or_default();
-        // As Rust reads numbers, too: 1_000 and 0x10 are some to TOML alone.
+        // As Rust also reads numbers: 1_000 and 0x10 are numbers only in TOML.
         let literal = match level.get_ref() {
             toml::Value::Integer(value) => value.to_string(),
             toml::Value::Float(_) => written.replace('_', ""),

@@ -1,4 +1,4 @@
-//! `[compensation]`: corrected commands that are driven and measured behind the session.
+//! `[compensation]`: corrected commands that are driven and measured after the session.
 
 use nalgebra::Vector3;
 use serde::Deserialize;
@@ -8,7 +8,7 @@ use calibrig_estimation::identification::Mode;
 use calibrig_estimation::inverse::{Criterion, Goal};
 use calibrig_files::{InputError, Robot, Source, Spanned};
 
-/// What of a pose a goal holds.
+/// What a goal constrains.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GoalKind {
@@ -24,13 +24,13 @@ pub enum GoalKind {
 /// What is driven with corrected commands.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CompensationPlan {
-    /// What of a pose a goal holds.
+    /// What a goal constrains.
     pub goal: GoalKind,
     /// The axis that is directed, a unit vector in the flange frame.
     pub axis: Vector3<f64>,
-    /// What decides between the nominal commands for a goal; `None` for the planned ones.
+    /// How nominal commands for a goal are chosen; `None` for the planned ones.
     pub redundancy: Option<Criterion>,
-    /// Other ways to decide, to be shown beside.
+    /// Other criteria, for comparison.
     pub compare: Vec<Option<Criterion>>,
     /// Cycles of a pose test; `None` for none.
     pub cycles: Option<u32>,
@@ -70,7 +70,7 @@ struct PathFile {
     speed_mm_per_s: Spanned<f64>,
 }
 
-/// What takes the planned command of every pose.
+/// The name that selects the planned command of every pose.
 const AS_PLANNED: &str = "as_planned";
 const MOST_CYCLES: u32 = 1000;
 /// Every mode drives all of them.
@@ -183,7 +183,7 @@ fn path(source: &Source, table: &Spanned<PathFile>, goal: GoalKind) -> Result<Pa
         let message = format!("compensation.path has {} points", goals.len());
         return Err(refused(message, "expected at most 10000: a wider pitch_mm or spacing_mm"));
     }
-    // A path that the tool's orientation does not matter to is one of positions.
+    // For a path without an orientation, only positions matter.
     let goals: Vec<Goal> = match goal {
         GoalKind::Position => goals.iter().map(|goal| Goal::Position(goal.position())).collect(),
         GoalKind::Axis | GoalKind::Pose => goals,

@@ -1,4 +1,4 @@
-//! `scenarios/*.toml`: units in the keys, unknown keys refused, every refusal with its place.
+//! `scenarios/*.toml`: units in the keys, unknown keys refused, every error with its place.
 
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -161,7 +161,7 @@ pub fn load_scenario(path: &Path) -> Result<Scenario, InputError> {
     let folder = path.parent().unwrap_or(Path::new(""));
     let robot_path = folder.join(file.robot.get_ref());
     let robot = load_robot(&robot_path).map_err(|error| match error {
-        // The file that names it is where the reader will mend it.
+        // The reader will correct the file that names it.
         InputError::Unreadable { reason, .. } => source.error(
             file.robot.span(),
             format!("robot: cannot read {}: {reason}", robot_path.display()),
@@ -185,7 +185,7 @@ pub fn parse_scenario(source: Source, robot: Robot) -> Result<Scenario, InputErr
     parse_scenario_with(source, robot, &[])
 }
 
-/// The same where it names measurement files whose poses are taken: `files` by role, such as a recording's attachments.
+/// The same if it names measurement files whose poses are used: `files` by role, such as a recording's attachments.
 pub fn parse_scenario_with(
     source: Source,
     robot: Robot,
@@ -213,7 +213,7 @@ fn given(
     })
 }
 
-/// What the scenario is with other values in its text; its campaign is the one that they come from.
+/// The scenario with other values in its text; its campaign is the one that they come from.
 pub(super) fn parse_varied(
     source: Source,
     robot: Robot,
@@ -236,7 +236,7 @@ fn whole(
     Ok(Scenario { campaign: plan, ..validate(source, file, robot, named)? })
 }
 
-/// Where neither the robot's file nor the scenario says where down is, m/s².
+/// Default if neither the robot's file nor the scenario states gravity, m/s².
 const USUAL_GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -STANDARD_GRAVITY);
 
 fn gravity(source: &Source, table: &Spanned<GravityFile>) -> Result<Vector3<f64>, InputError> {
@@ -366,7 +366,7 @@ fn validate(
     Ok(scenario)
 }
 
-/// Stations that sweeps are to place need some of two axes.
+/// Stations that sweeps are to place need sweeps of two axes.
 fn swept(source: &Source, options: &IdentificationOptions, plan: &SessionPlan) -> Result<(), InputError> {
     let joints: BTreeSet<usize> = plan.sweeps.iter().map(|sweep| sweep.joint).collect();
     if options.frame != FrameChoice::Sweeps || joints.len() >= 2 {
@@ -426,13 +426,13 @@ fn tracker(
     let file = section.get_ref();
     let instrument = instrument(source, file, section.span())?;
     let stated = conditions(source, file, &instrument.limits)?;
-    // Exact readings and nests have neither weather nor reflectors of their own.
+    // Exact readings and nests have neither air nor reflector errors.
     let conditions = if instrument.noise { stated } else { Conditions::default() };
     let position = point(source, "tracker.", [&file.x_mm, &file.y_mm, &file.z_mm])?;
     let yaw = source.finite("tracker.yaw_deg", &file.yaw_deg)?.to_radians();
     let up = -as_built.statics.gravity;
     let tracker = LaserTracker { conditions, ..LaserTracker::levelled(instrument, position, yaw, &up) };
-    // One is drawn to see that there is one.
+    // One is drawn to check that there is one.
     if let Err(error) = tracker.drawn(seed, 0, 0, 0.0) {
         let key = file.systematic_fraction.as_ref().or(file.random_fraction.as_ref());
         let place = key.map_or(section.span(), Spanned::span);
@@ -443,7 +443,7 @@ fn tracker(
     Ok(tracker)
 }
 
-/// The target as a probe whose orientation is measured, too.
+/// The target as a probe whose orientation is also measured.
 fn probe(source: &Source, file: &PoseFile, noise: bool) -> Result<Probe, InputError> {
     let about = |key: &str, value: Option<&Spanned<f64>>| {
         value.map_or(Ok(0.0), |value| Ok(source.finite(&format!("tracker.pose.{key}"), value)?.to_radians()))
@@ -549,7 +549,7 @@ fn nests(
         ));
     }
     let off_line = distance_off_line(&nests);
-    // Nearer, the turn about the line is uncertain by 0.1 rad and more.
+    // Closer than this, the turn about the line is uncertain by 0.1 rad and more.
     if off_line < 10.0 * sigma {
         return Err(source.error(
             span,

@@ -65,7 +65,7 @@ enum LossFile {
     Tukey,
 }
 
-/// Starts of one fit: a minute or so of searching.
+/// Most starts of one fit: a minute or so of searching.
 const MOST_STARTS: u32 = 1000;
 
 #[derive(Deserialize, Clone, Copy)]
@@ -182,7 +182,7 @@ impl BoundFile {
         Ok(bound)
     }
 
-    /// At the limit that is to blame, else at the parameter.
+    /// At the limit that is wrong, else at the parameter.
     fn refused(&self, source: &Source, error: &ParameterBoundError) -> InputError {
         let limit = |upper: bool| {
             BOUND_KEYS.iter().find_map(|(unit, ..)| {
@@ -223,7 +223,7 @@ fn wrong_unit(source: &Source, id: ParameterId, key: &str, value: &Spanned<f64>)
     )
 }
 
-/// `options` with what the robot's files say of its compliances, masses and centres.
+/// `options` with what the robot's files state about its compliances, masses and centres.
 pub fn with_stated_of(robot: &Robot, options: IdentificationOptions) -> IdentificationOptions {
     IdentificationOptions {
         compliance_sigma: robot.compliance_sigma.unwrap_or(options.compliance_sigma),
@@ -234,7 +234,7 @@ pub fn with_stated_of(robot: &Robot, options: IdentificationOptions) -> Identifi
 }
 
 impl IdentificationFile {
-    /// What is known of the machine's error beside its model.
+    /// What is known about the machine's random errors.
     fn machine_noise(
         &self,
         source: &Source,
@@ -277,7 +277,7 @@ impl IdentificationFile {
         }
     }
 
-    /// The rows of the tables: without the key all that the robot can have, which `bends` or not.
+    /// The rows of the tables: without the key all that the robot can have; `bends` says if it deflects.
     pub(super) fn modes(&self, source: &Source, bends: bool) -> Result<Vec<Mode>, InputError> {
         let possible =
             |mode: &Mode| bends || matches!(mode, Mode::WithoutCalibration | Mode::OnlyCalibration);
@@ -417,7 +417,7 @@ impl IdentificationFile {
             })
     }
 
-    /// Adds the bounds, which are on parameters that these options fit.
+    /// Adds the bounds, on parameters that these options fit.
     fn bounds(
         &self,
         source: &Source,
@@ -438,7 +438,7 @@ impl IdentificationFile {
         .map_err(|RefusedBound { index, error }| self.bound[index].refused(source, &error))
     }
 
-    /// The prior on the link parameters, for lengths and angles or for neither.
+    /// The prior on the link parameters, for both lengths and angles or for neither.
     fn tolerance(&self, source: &Source) -> Result<Option<Tolerance>, InputError> {
         let alone = |given: &Spanned<f64>, key: &str, other: &str| {
             let help = Some(format!("expected {other} as well, or neither of them"));
@@ -540,7 +540,7 @@ fn masses(
     names.get_ref().iter().map(index).collect()
 }
 
-/// The key of a family that there is.
+/// The key of an existing family.
 fn family(source: &Source, key: &str, name: &Spanned<String>) -> Result<String, InputError> {
     let known: Vec<_> = std::iter::once(LINKAGE).chain(FAMILIES.iter().map(|family| family.key())).collect();
     if known.contains(&name.get_ref().as_str()) {

@@ -51,10 +51,10 @@ pub(super) struct SmrFile {
 
 const UM: f64 = 1e-6;
 
-/// Time after which a share 1/e of a warm-up is left where the file does not say, s: one twentieth of it is left after the first hour.
+/// Default time after which a share 1/e of a warm-up is left, s: one twentieth is left after the first hour.
 const WARM_UP_TIME: f64 = 1200.0;
 
-/// As reflectors of 1.5 inches have it.
+/// As for 1.5 inch reflectors.
 const ACCEPTANCE_DEG: f64 = 30.0;
 
 /// The instrument of the section, which is at `section` of the text.
@@ -133,7 +133,7 @@ pub(super) fn instrument(
     })
 }
 
-/// The instrument of that name; an error lists those that there are.
+/// The instrument of that name; the error lists the existing ones.
 fn preset(source: &Source, name: &Spanned<String>) -> Result<Preset, InputError> {
     Preset::parse(name.get_ref()).ok_or_else(|| {
         let known: Vec<_> = Preset::ALL.iter().map(|preset| preset.key()).collect();
@@ -197,7 +197,7 @@ fn limits(source: &Source, file: &TrackerFile, base: Limits) -> Result<Limits, I
     Ok(limits)
 }
 
-/// What the session is like beside its instrument.
+/// Conditions of the session besides its instrument.
 pub(super) fn conditions(
     source: &Source,
     file: &TrackerFile,
@@ -223,7 +223,7 @@ pub(super) fn conditions(
     Ok(Conditions { environment: environment.flatten(), drift: drift.flatten(), smr: smr.flatten(), misses })
 }
 
-/// A law, if its section is enabled; what its own check says is an error of the section, also of one that is not.
+/// A law, if its section is enabled; errors of its own check are reported at the section, even if it is off.
 fn checked<L>(
     source: &Source,
     section: Range<usize>,

@@ -47,7 +47,7 @@ pub struct Scenario {
     pub robot: Robot,
     /// The robot as it really is.
     pub as_built: AsBuilt,
-    /// From which every trial draws its own machine on top of that one, where it does.
+    /// The distribution from which every trial draws its own machine around that one, if it does.
     pub drawn: Option<AsBuiltDistribution>,
     /// Where poses are drawn.
     pub region: WorkingRegion,
@@ -55,13 +55,13 @@ pub struct Scenario {
     pub identification_poses: u32,
     /// Poses of the verification set.
     pub verification_poses: u32,
-    /// Joint variables of the poses of the identification and of the verification set, where they are not drawn.
+    /// Joint variables of the poses of the identification and of the verification set, if they are not drawn.
     pub listed: [Option<Vec<Vec<f64>>>; 2],
     /// The tracker at its real place.
     pub tracker: LaserTracker,
-    /// Gross errors among its readings of the target, where there are any.
+    /// Gross errors among its readings of the target, if any.
     pub outliers: Option<Outliers>,
-    /// What measures the target's orientation with its place; `None` where the target is a point.
+    /// What measures the target's orientation together with its place; `None` if the target is a point.
     pub probe: Option<Probe>,
     /// Base nests: name and true place in the base frame, m.
     pub nests: Vec<(String, Vector3<f64>)>,
@@ -75,26 +75,26 @@ pub struct Scenario {
     pub options: IdentificationOptions,
     /// The rows of the tables.
     pub modes: Vec<Mode>,
-    /// What is driven with corrected commands behind the session, where anything is.
+    /// What is driven with corrected commands after the session, if anything.
     pub compensation: Option<CompensationPlan>,
-    /// What varies in its campaigns, where anything is said of them.
+    /// What varies in its campaigns, if stated.
     pub campaign: Option<CampaignPlan>,
-    /// Published figures to print beside: m, max x, mean x, max y, mean y, max z, mean z.
+    /// Published figures to print for comparison: m, max x, mean x, max y, mean y, max z, mean z.
     pub published: Vec<(SetKind, Mode, [f64; 6])>,
     /// The files read, by role.
     pub sources: Vec<(String, Source)>,
 }
 
-/// How often a machine is drawn again at most; scenarios whose machines would need that are refused.
+/// Largest number of redraws of a machine; scenarios that would need more are refused.
 const MOST_REDRAWS: u32 = 20;
 
 impl Scenario {
-    /// The machine of a trial: the given one, or one drawn from (seed, trial) alone.
+    /// The machine of a trial: the given one, or one drawn only from (seed, trial).
     pub fn as_built_for(&self, seed: u64, trial: u32) -> AsBuilt {
         self.machine_of(seed, trial).0
     }
 
-    /// How often the machine of a trial is drawn again, because the loop of the one before does not close.
+    /// How often the machine of a trial is drawn again because the loop of the one before does not close.
     pub fn redraws(&self, seed: u64, trial: u32) -> u32 {
         self.machine_of(seed, trial).1
     }
@@ -107,7 +107,7 @@ impl Scenario {
         };
         let mut machine = draw(0);
         let mut count = 0;
-        // Looking at a loop that is as it was takes longer than all the rest.
+        // Checking an unchanged loop would take longer than everything else.
         if !drawn.varies_linkage() {
             return (machine, 0);
         }
@@ -118,7 +118,7 @@ impl Scenario {
         (machine, count)
     }
 
-    /// The first station's tracker with the errors that it has in a trial, which its session draws for itself.
+    /// The first station's tracker with its errors in a trial, which its session draws by itself.
     pub fn tracker_for(&self, seed: u64, trial: u32) -> Result<Cow<'_, LaserTracker>, TrackerError> {
         if !self.tracker.has_law() {
             return Ok(Cow::Borrowed(&self.tracker));
@@ -126,7 +126,7 @@ impl Scenario {
         self.tracker.drawn(seed, trial, 0, self.session().duration()).map(Cow::Owned)
     }
 
-    /// How its given machine is measured. The session draws the errors that its trackers have in a trial.
+    /// The measurement of its given machine. The session draws the errors of its trackers in a trial.
     pub fn session(&self) -> MeasuringSession<'_> {
         MeasuringSession {
             as_built: &self.as_built,

@@ -82,7 +82,7 @@ pub(super) fn poses(
     let (second, held_out) = set(SetKind::Verification, file.verification.as_ref(), verification, 0)?;
     let region = match &file.region {
         Some(entries) => region(source, entries, &robot.model)?,
-        // Nothing is drawn: what is listed is the region.
+        // Nothing is drawn: the listed poses define the region.
         None if (fitted.is_some() || first == 0) && (held_out.is_some() || second == 0) => {
             around(fitted.iter().chain(&held_out).flatten(), robot.model.kinematics.joint_count())
         }
@@ -108,7 +108,7 @@ fn around<'a>(poses: impl Iterator<Item = &'a Vec<f64>>, joints: usize) -> Worki
     }
 }
 
-/// The joint variables of the poses of a measurement file, which is read as `identify` reads it, or of a plan: what is measured is not looked at.
+/// The joint variables of the poses of a measurement file, which is read as by `identify`, or of a plan: measured values are ignored.
 fn listed(
     source: &Source,
     key: &Spanned<String>,
@@ -162,7 +162,7 @@ fn listed(
     Ok(poses)
 }
 
-/// Poses a set, at 10 s a pose eleven days of measuring.
+/// Most poses per set: at 10 s a pose, eleven days of measuring.
 const MOST_POSES: u32 = 100_000;
 
 fn pose_count(source: &Source, key: &str, count: &Spanned<u32>, least: u32) -> Result<u32, InputError> {

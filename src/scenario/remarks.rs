@@ -1,4 +1,4 @@
-//! What of a scenario can be simulated, and is not what a real session would be.
+//! Scenarios that can be simulated but differ from any real session.
 
 use nalgebra::Vector3;
 
@@ -7,12 +7,12 @@ use calibrig_model::geometry::Transform;
 use calibrig_model::visibility::stance_at;
 use calibrig_plant::tracker::acceptance::draw_and_test;
 
-/// Instruments that are tested.
+/// Number of instruments that are tested.
 const TESTED: u32 = 50;
-/// Trackers that stand nearer to each other stand in one place, m.
+/// Trackers closer than this are at the same place, m.
 const APART: f64 = 1e-3;
 
-/// How many of an instrument's kind pass their acceptance test.
+/// How many instruments of this kind pass their acceptance test.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Passing {
     /// So many pass ...
@@ -22,8 +22,8 @@ pub struct Passing {
 }
 
 impl Scenario {
-    /// Of an instrument without systematic errors, which no session draws again, how many pass; `None` of others, and where the test's places are out of
-    /// its reach.
+    /// For an instrument without systematic errors, which no session draws again, how many pass; `None` for others, and if the test's places are out
+    /// of its reach.
     pub fn passing(&self) -> Option<Passing> {
         let instrument = &self.tracker.instrument;
         if !instrument.noise || instrument.systematic_fraction > 0.0 {
@@ -36,7 +36,7 @@ impl Scenario {
         Some(Passing { passed, tested: TESTED })
     }
 
-    /// What a person should know before the session is simulated, in sentences.
+    /// Remarks before the session is simulated, in sentences.
     pub fn remarks(&self) -> Vec<String> {
         let mut remarks = Vec::new();
         if let Some(Passing { passed, tested }) = self.passing()
@@ -62,7 +62,7 @@ impl Scenario {
         remarks
     }
 
-    /// Names of the stations, with where they stand.
+    /// Names of the stations, with their places.
     fn stations(&self) -> Vec<(&str, &Transform)> {
         let further = self.plan.stations.iter().map(|s| (s.name.as_str(), &s.tracker_from_base));
         std::iter::once(("1", &self.tracker.tracker_from_base)).chain(further).collect()

@@ -19,13 +19,13 @@ use calibrig_plant::session::{
 use calibrig_plant::tracker::LaserTracker;
 
 const MM: f64 = 1e-3;
-/// The usual angle from which a hollow retroreflector sends light back.
+/// The usual angle up to which a hollow retroreflector returns light.
 const ACCEPTANCE: f64 = PI / 6.0;
-/// Beam radius, and what a primitive leaves out of a link.
+/// Beam radius, and margin for details that a primitive lacks.
 const MARGIN: f64 = 0.01;
 /// Radius of a ball of 1.5 inches, and its seat.
 const STANDOFF: f64 = 0.025;
-/// From one nest to the next, where the file says nothing: the tracker drives there by itself.
+/// Default time from one nest to the next: the tracker drives there by itself.
 const SECONDS_PER_NEST: f64 = 5.0;
 
 #[derive(Deserialize)]
@@ -125,7 +125,7 @@ enum LinksFile {
     None,
 }
 
-/// What the rest of the scenario says of the session.
+/// The parts of the scenario that the session refers to.
 pub(super) struct Around<'a> {
     pub(super) robot: &'a Robot,
     pub(super) as_built: &'a AsBuilt,
@@ -136,7 +136,7 @@ pub(super) struct Around<'a> {
     pub(super) most_poses: u32,
 }
 
-/// The plan of a file without `[session]` is the plainest.
+/// Without `[session]` the plan is the simplest.
 pub(super) fn session(
     source: &Source,
     file: Option<&Spanned<SessionFile>>,
@@ -410,7 +410,7 @@ fn sight(source: &Source, section: &Spanned<SightFile>, around: &Around<'_>) -> 
     Ok(Sight { obstacles, acceptance })
 }
 
-/// Refuses stations that cannot stand where they stand: inside the robot at its home pose, or below the floor; and nests that no station can see.
+/// Refuses stations at impossible places: inside the robot at its home pose, or below the floor; and nests that no station can see.
 fn stands(
     source: &Source,
     file: &SessionFile,

@@ -1,4 +1,4 @@
-//! `[[session.sweep]]`: joints that are moved alone, by which the stations can be placed.
+//! `[[session.sweep]]`: joints that are moved alone, from which the stations can be placed.
 
 use serde::Deserialize;
 
@@ -7,7 +7,7 @@ use calibrig_files::{InputError, Source, Spanned};
 use calibrig_model::JointKind;
 use calibrig_plant::session::{LEAST_PLACES, MOST_PLACES, PlannedSweep};
 
-/// Places of a sweep where the file says nothing.
+/// Default number of places of a sweep.
 const PLACES: u32 = 15;
 
 #[derive(Deserialize)]

@@ -1,4 +1,4 @@
-//! What robots of a size are like where their files do not say: figures with their sources or reasons, which stand in the scenario beside them.
+//! Typical figures of robots of a size, for what their files do not state: with sources or reasons, which are written into the scenario.
 
 use std::fmt;
 
@@ -21,7 +21,7 @@ impl SizeClass {
     /// All of them.
     pub const ALL: [Self; 3] = [Self::Small, Self::Medium, Self::Large];
 
-    /// By reach, m, and moving mass, kg, where it is known: the larger of the two.
+    /// By reach, m, and moving mass, kg, if known: the larger of the two.
     pub fn of(reach: f64, mass: Option<f64>) -> Self {
         let mass = mass.unwrap_or(0.0);
         let within = |(most_reach, most_mass): (f64, f64)| reach <= most_reach && mass <= most_mass;
@@ -67,11 +67,12 @@ impl fmt::Display for SizeClass {
 
 /// The figures of a class, in the units of the scenario's keys.
 pub(super) struct Figures {
-    /// Standard deviations of lengths (mm) and angles (mrad) as built, and why.
+    /// Standard deviations of lengths (mm) and angles (mrad) as built, and their source.
     pub lengths: f64,
     pub angles: f64,
     pub errors_why: &'static str,
-    /// Of a four-bar's crank: its axis off the shoulder's along x and y (mm), and its tilts (mrad), and why.
+    /// Of a four-bar's crank: displacement of its axis from the shoulder's along x and y (mm), and its tilts (mrad),
+    /// and their source.
     pub crank_axis: [f64; 2],
     pub crank_axis_why: &'static str,
     /// Stiffness of drives that carry most of the arm, of those of the wrist (N m/rad), and of slides (N/m).
@@ -79,11 +80,11 @@ pub(super) struct Figures {
     pub wrist_drive: f64,
     pub slide: f64,
     pub stiffness_why: &'static str,
-    /// Once and twice a motor turn, arcsec; turns a revolution where the robot's file does not say.
+    /// Once and twice per motor turn, arcsec; motor turns per revolution if the robot's file does not state them.
     pub harmonics: [f64; 2],
     pub turns_per_rev: f64,
     pub harmonics_why: &'static str,
-    /// Of slides: um once and twice a motor turn, turns a metre, error of the pitch in ppm.
+    /// For slides: um once and twice per motor turn, turns per metre, error of the pitch in ppm.
     pub slide_harmonics: [f64; 2],
     pub turns_per_m: f64,
     pub slide_ppm: f64,

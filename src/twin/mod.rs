@@ -1,4 +1,4 @@
-//! The simulated twin of a robot: a scenario made of its nominal model alone, with a reason beside every number that the model does not say.
+//! The simulated twin of a robot: a scenario made only from its nominal model, with a reason for every number that the model does not state.
 
 mod class;
 mod text;
@@ -19,7 +19,7 @@ use calibrig_model::{JointKind, ModelError, STANDARD_GRAVITY, StaticProperties};
 use calibrig_plant::experiment::{self, Place, Stand, WorkingRegion, usable_ranges};
 pub use calibrig_plant::tracker::Preset;
 
-/// How the base is mounted, where it is not as the robot's file says.
+/// How the base is mounted, if not as the robot's file states.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Mounting {
     /// Its z axis upwards.
@@ -30,16 +30,16 @@ pub enum Mounting {
     Ceiling,
 }
 
-/// What is asked for.
+/// Settings of a twin.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TwinOptions {
-    /// The size class; by reach and mass without.
+    /// The size class; if absent, by reach and mass.
     pub class: Option<SizeClass>,
-    /// As the robot's file says without.
+    /// If absent, as the robot's file states.
     pub mounting: Option<Mounting>,
     /// The tracker.
     pub preset: Preset,
-    /// Height of the floor above the base's origin, m; by the robot's own heights without.
+    /// Height of the floor above the base's origin, m; if absent, by the robot's own heights.
     pub floor: Option<f64>,
     /// Of the scenario.
     pub seed: u64,
@@ -51,38 +51,38 @@ impl Default for TwinOptions {
     }
 }
 
-/// A scenario, and what was chosen for it.
+/// A scenario, and the choices made for it.
 #[derive(Debug, Clone)]
 pub struct Twin {
     /// The text of the scenario file.
     pub text: String,
-    /// The same as it is read.
+    /// The same as read.
     pub scenario: Scenario,
     /// The size class.
     pub class: SizeClass,
     /// Largest distance of the flange from the first joint in the middle of its travel, m.
     pub reach: f64,
-    /// Of all that moves, kg; `None` where the robot's files do not say.
+    /// Of all that moves, kg; `None` if the robot's files do not state it.
     pub mass: Option<f64>,
     /// Where poses are drawn.
     pub region: WorkingRegion,
-    /// The box that the target takes up there: least and largest x, y and z in the base frame, m.
+    /// The box of the target's places there: least and largest x, y and z in the base frame, m.
     pub extent: [Vector3<f64>; 2],
-    /// Where the tracker stands, and what it sees.
+    /// The tracker's place, and what it sees.
     pub place: Place,
     /// Identification and verification poses.
     pub poses: [u32; 2],
-    /// Link parameters of a complete set, and how many of them these poses tell.
+    /// Link parameters of a complete set, and how many of them these poses determine.
     pub parameters: [usize; 2],
-    /// What a person should know of the choices.
+    /// Remarks on the choices.
     pub told: Vec<String>,
 }
 
-/// No twin can be made.
+/// Why no twin can be made.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum TwinError {
-    /// Nothing can be said of the robot's parameters.
+    /// The robot's parameters cannot be analysed.
     #[error("the robot's parameters: {0}")]
     Model(#[from] ModelError),
     /// No place within the tracker's range sees any pose.
@@ -90,7 +90,7 @@ pub enum TwinError {
     NoPlace {
         /// Of the tracker, m.
         range: [f64; 2],
-        /// Looked at.
+        /// Poses that were tried.
         poses: usize,
     },
     /// Too few places for base nests.
@@ -101,13 +101,13 @@ pub enum TwinError {
         /// Places.
         found: usize,
     },
-    /// What was written is no scenario.
+    /// The text is not a valid scenario.
     #[error("the scenario that was made is refused: {0}")]
     Refused(#[from] InputError),
 }
 
 impl TwinError {
-    /// One thing to try.
+    /// A suggestion.
     pub fn help(&self) -> &'static str {
         match self {
             Self::Model(_) => {
@@ -125,23 +125,23 @@ impl TwinError {
     }
 }
 
-/// Poses that are looked at to find out what the robot is like.
+/// Number of poses that characterise the robot.
 const SURVEY: usize = 800;
 /// From how many of them a box is grown.
 const STARTS: usize = 16;
-/// Cables and hoses allow no more about the middle of a joint's limits, rad.
+/// Largest turn about the middle of a joint's limits that cables and hoses allow, rad.
 const MOST_TURN: f64 = 170.0 / 180.0 * std::f64::consts::PI;
 /// Travel either way of a slide without limits, m.
 const MOST_TRAVEL: f64 = 10.0;
-/// Part of the poses that the tracker shall see.
+/// Share of the poses that the tracker should see.
 const SEEN: f64 = 0.95;
-/// About links, m, as a scenario has it.
+/// Margin about links, m, as in a scenario.
 const MARGIN: f64 = 0.01;
-/// End of the beam that is the reflector's own, m, as a scenario has it.
+/// End of the beam that is the reflector's own, m, as in a scenario.
 const STANDOFF: f64 = 0.025;
 /// A person's distance from the reach of a robot, m.
 const KEEP_OFF: f64 = 0.3;
-/// No drive yields more than this under its own robot, rad; nor a slide more than as many m.
+/// Largest deflection of a drive under its own robot, rad; for a slide, the same number of m.
 const MOST_SAG: f64 = 5e-3;
 
 /// Makes the twin of `robot`, whose file the scenario will name `named`.
@@ -188,7 +188,7 @@ pub fn twin(robot: &Robot, named: &str, options: &TwinOptions) -> Result<Twin, T
     let first = drawn(&clear, 200, &mut rng);
     let place = stand.best(&first).ok_or_else(|| nowhere(first.len()))?;
     let (mut region, mut place) = stand.trimmed(&clear, &place, SEEN, &mut rng);
-    // A better place for what is left of the region, and what can be seen from there.
+    // A better place for the rest of the region, and what is visible from there.
     if let Some(other) = stand.best(&drawn(&region, 200, &mut rng)).filter(|_| region != clear) {
         let (smaller, at) = stand.trimmed(&region, &other, SEEN, &mut rng);
         if at.seen >= place.seen.min(SEEN) {
@@ -215,7 +215,7 @@ pub fn twin(robot: &Robot, named: &str, options: &TwinOptions) -> Result<Twin, T
     }
     let drives = robot.model.statics.as_ref().map(|statics| drives(robot, statics, &surveyed, &poses));
     let unknown = parameters[0] + drives.iter().flatten().filter(|drive| drive.torque > 0.0).count();
-    // Whole tens, of which so many are seen.
+    // Multiples of ten, of which this many are seen.
     let tens = |wanted: usize| {
         let enough = |poses: &u32| f64::from(*poses) * place.seen.max(0.2) >= wanted as f64;
         (1..1000).map(|tens| 10 * tens).find(enough).unwrap_or(10_000)
@@ -248,12 +248,12 @@ pub fn twin(robot: &Robot, named: &str, options: &TwinOptions) -> Result<Twin, T
     Ok(Twin { text, scenario, class, reach, mass, region, extent, place, poses: counts, parameters, told })
 }
 
-/// What the robot is like.
+/// Properties of the robot.
 struct Surveyed {
     class: SizeClass,
     reach: f64,
     mass: Option<f64>,
-    /// m/s² in the base frame, and whether it is asked for otherwise than the robot's file has it.
+    /// m/s² in the base frame, and whether it was asked for instead of that of the robot's file.
     gravity: Vector3<f64>,
     turned: bool,
     up: UnitVector3<f64>,
@@ -264,7 +264,7 @@ struct Surveyed {
     /// Where the first joint is in the middle of its travel, m.
     robot: Vector3<f64>,
     planes: Vec<(UnitVector3<f64>, f64)>,
-    /// Radius of the links, m, where the robot has no shapes.
+    /// Radius of the links, m, if the robot has no shapes.
     radius: Option<f64>,
     ranges: Vec<[f64; 2]>,
     poses: Vec<Vec<f64>>,
@@ -272,7 +272,7 @@ struct Surveyed {
 }
 
 impl Surveyed {
-    /// Whether the base is on something else than the floor.
+    /// Whether the base is on something other than the floor.
     fn is_off_the_floor(&self) -> bool {
         self.planes.len() > 1
     }
@@ -383,7 +383,7 @@ fn lowest(
     of_base.fold(0.0, f64::min).min(shoulder - 0.1 * reach)
 }
 
-/// The box in which nothing touches; where none is found, with less that must not touch, which is told.
+/// The box in which nothing touches; if none is found, with fewer conditions, which is reported.
 fn clear_region(
     room: &Room<'_>,
     surveyed: &Surveyed,
@@ -416,7 +416,7 @@ fn clear_region(
     })
 }
 
-/// Nests on rings about the base, low and raised, that the tracker sees with the robot anywhere in its region.
+/// Nests on rings around the base, low and raised, that the tracker sees with the robot anywhere in its region.
 fn nests(
     stand: &Stand<'_>,
     surveyed: &Surveyed,
@@ -460,13 +460,13 @@ fn nests(
 struct Drive {
     /// Largest load of gravity at the region's poses, N or N m.
     torque: f64,
-    /// Stiffness as built over that of the robot's file, where that one is a guess.
+    /// Stiffness as built over that of the robot's file, if that is a guess.
     factor: Option<f64>,
     /// As built, N/m or N m/rad.
     stiffness: f64,
 }
 
-/// Stiffnesses: those of the file where it knows them, those of the class where it guesses; stiff enough to carry the robot.
+/// Stiffnesses: those of the file if known, those of the class if guessed; stiff enough to carry the robot.
 fn drives(robot: &Robot, statics: &StaticProperties, surveyed: &Surveyed, poses: &[Vec<f64>]) -> Vec<Drive> {
     let figures = surveyed.class.figures();
     let guessed = is_guess(robot);
@@ -498,7 +498,7 @@ fn drives(robot: &Robot, statics: &StaticProperties, surveyed: &Surveyed, poses:
     let drive = |(joint, link): (usize, &calibrig_model::CraigLink)| {
         let stated = statics.drive_stiffness[joint];
         let torque = load(joint, link.kind);
-        // What rounding leaves of an axis along gravity.
+        // Rounding of an axis along gravity.
         let torque = if torque < 1e-6 { 0.0 } else { torque };
         let usual = match link.kind {
             JointKind::Prismatic => figures.slide,
@@ -513,14 +513,14 @@ fn drives(robot: &Robot, statics: &StaticProperties, surveyed: &Surveyed, poses:
     links.iter().enumerate().map(drive).collect()
 }
 
-/// Whether the robot's file takes its stiffnesses for guesses.
+/// Whether the robot's file marks its stiffnesses as guesses.
 fn is_guess(robot: &Robot) -> bool {
     robot.stiffness_unknown || robot.compliance_sigma.is_some_and(|sigma| sigma >= 1.0)
 }
 
-/// A guess has no more.
+/// A guess has no more digits.
 fn two_digits(value: f64) -> f64 {
     let unit = 10_f64.powf(value.log10().floor() - 1.0);
-    // Divided by a power of ten, so that no digits of rounding stay behind.
+    // Divided by a power of ten, to avoid rounding digits.
     if unit < 1.0 { (value / unit).round() / (1.0 / unit).round() } else { (value / unit).round() * unit }
 }

@@ -17,13 +17,13 @@ pub(super) struct Written<'a> {
     pub options: &'a TwinOptions,
     pub surveyed: &'a Surveyed,
     pub figures: &'a Figures,
-    /// m, where the robot's file does not state one.
+    /// m, if the robot's file does not state one.
     pub target: Option<Vector3<f64>>,
     pub region: &'a WorkingRegion,
     pub extent: [Vector3<f64>; 2],
     pub place: &'a Place,
     pub nests: &'a [Vector3<f64>],
-    /// `None` of a robot without masses.
+    /// `None` for a robot without masses.
     pub drives: Option<&'a [Drive]>,
     pub parameters: [usize; 2],
     pub unknown: usize,
@@ -232,7 +232,7 @@ impl Written<'_> {
         for (index, link) in self.commanded() {
             line!(text, "[[effects.harmonics.joint]]\njoint = {}", quoted(&link.name));
             let known = self.robot.model.motor_turns.get(index).copied().flatten().is_some();
-            // Spread, so that joints do not err alike.
+            // Spread, so that joints do not have equal errors.
             let phases = [(70 * index + 20) % 360, (130 * index + 50) % 360];
             match link.kind {
                 JointKind::Revolute => {

@@ -9,7 +9,7 @@ use super::{
 };
 use calibrig_estimation::evaluation::Coverage;
 
-/// The summary as a JSON document, schema `calibrig.campaign/1`. Figures are SI; `half_width_95` and `interval_95` are of 95 % confidence.
+/// The summary as a JSON document, schema `calibrig.campaign/1`. Figures are SI; `half_width_95` and `interval_95` have 95 % confidence.
 pub fn summary_json(summary: &CampaignSummary) -> Value {
     let factor = |factor: &crate::scenario::Factor| json!({ "name": factor.name, "keys": factor.keys });
     let mut document = json!({

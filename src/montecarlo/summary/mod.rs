@@ -1,5 +1,5 @@
-//! What many trials say together, from their table alone. Every sum runs in the order of the trials, so that the same table gives the same bits; columns
-//! are looked through again and again and never held, so that a table of any length takes the same memory.
+//! Statistics of many trials, from their table alone. Every sum runs in the order of the trials, so that the same table gives the same bits; columns
+//! are read repeatedly and never held, so that a table of any length takes the same memory.
 
 mod json;
 mod modes;
@@ -27,15 +27,15 @@ use calibrig_estimation::identification::Mode;
 
 /// Level of the intervals of figures, and of the intervals whose coverage is counted.
 pub(super) const LEVEL: f64 = 0.95;
-/// Level of the bands that NEES and coverage are held against: one in a thousand sound campaigns is outside.
+/// Level of the bands for NEES and coverage: one in a thousand sound campaigns is outside.
 pub const BAND: f64 = 0.999;
-/// Within which share of itself a mean is told to be known well enough.
+/// Relative precision at which a mean counts as well known.
 pub(super) const ENOUGH: f64 = 0.01;
-/// Kinds of reasons that are told apart, and trials that are named.
+/// Most kinds of reasons, and most trials, that are listed.
 const MOST_REASONS: usize = 20;
 const WORST: usize = 5;
 
-/// A table that cannot be summed up.
+/// A table that cannot be summarised.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum SummaryError {
@@ -53,7 +53,7 @@ pub enum SummaryError {
     },
 }
 
-/// Trials that failed for reasons that differ in numbers alone.
+/// Trials that failed for reasons that differ only in their numbers.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Reason {
     /// That of the first one.
@@ -67,7 +67,7 @@ pub struct Reason {
 /// One of the trials with the largest errors.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Worst {
-    /// Which mode's.
+    /// Of which mode.
     pub mode: Mode,
     /// Which trial.
     pub trial: u64,
@@ -78,17 +78,17 @@ pub struct Worst {
 /// Trials that belong together: all, or those of a combination of a sweep.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GroupSummary {
-    /// The levels of the combination; empty where there is one group.
+    /// The levels of the combination; empty if there is only one group.
     pub levels: Vec<String>,
     /// Trials in it.
     pub trials: u64,
-    /// Of which so many failed.
+    /// Number of failed ones.
     pub failed: u64,
-    /// One a mode of the scenario.
+    /// One per mode of the scenario.
     pub modes: Vec<ModeSummary>,
 }
 
-/// What a factor does to the accuracy of a mode.
+/// The effect of a factor on the accuracy of a mode.
 #[derive(Debug, Clone, PartialEq)]
 pub enum FactorEffect {
     /// Sobol's indices.
@@ -97,20 +97,20 @@ pub enum FactorEffect {
     Screening(ElementaryEffects),
 }
 
-/// What each factor does to the RMS of the 3-D error of a mode.
+/// The effect of each factor on the RMS of the 3-D error of a mode.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sensitivity {
     /// Which.
     pub mode: Mode,
-    /// Against what.
+    /// Reference of the errors.
     pub kind: AccuracySet,
     /// Factor by factor, by name; the draws are the last one of indices.
     pub effects: Vec<(String, FactorEffect)>,
-    /// Rows of the base, or trajectories, that were left out, at least in part, because trials failed.
+    /// Rows of the base, or trajectories, that were left out, at least in part, because of failed trials.
     pub left_out: u64,
 }
 
-/// What a campaign says.
+/// Summary of a campaign.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CampaignSummary {
     /// Name for people.
@@ -127,21 +127,21 @@ pub struct CampaignSummary {
     pub first: u64,
     /// Trials carried out.
     pub trials: u64,
-    /// Of which so many failed.
+    /// Number of failed ones.
     pub failed: u64,
-    /// Of which so many were identified, but not soundly in every mode.
+    /// Of these, identified but not sound in every mode.
     pub doubtful: u64,
-    /// How often factors or machines were drawn again, because what was drawn is impossible.
+    /// How often factors or machines were drawn again because the draw was impossible.
     pub redrawn: u64,
     /// Why trials failed, the most frequent first.
     pub reasons: Vec<Reason>,
-    /// One, or one a combination of a sweep.
+    /// One, or one per combination of a sweep.
     pub groups: Vec<GroupSummary>,
-    /// Where the design tells it, mode by mode.
+    /// If the design determines it, mode by mode.
     pub sensitivity: Vec<Sensitivity>,
     /// The trials with the largest errors of the last mode, the worst first.
     pub worst: Vec<Worst>,
-    /// Within which a calibrated robot counts as a success, m.
+    /// Error up to which a calibrated robot counts as a success, m.
     pub tolerance: Option<f64>,
 }
 
@@ -157,7 +157,7 @@ impl CampaignSummary {
             let (low, high) = (1e2 * interval.low, 1e2 * interval.high);
             Some(format!("{} of {} trials (95 % interval {low:.1} to {high:.1} %)", rate.hits, rate.trials))
         };
-        // No more digits than a nanometre.
+        // No more digits than nanometres.
         let tolerance = (1e9 * self.tolerance?).round() / 1e6;
         Some(format!(
             "Within {tolerance} mm, {}, {}: the RMS in {}, every pose in {}.",
@@ -168,15 +168,15 @@ impl CampaignSummary {
         ))
     }
 
-    /// The modes over all trials; of a sweep, those of its first combination.
+    /// The modes over all trials; for a sweep, those of its first combination.
     pub fn modes(&self) -> &[ModeSummary] {
         self.groups.first().map_or(&[], |group| &group.modes)
     }
 
-    /// The command that carries out one trial with all that a run leaves, for a POSIX shell.
+    /// The command that carries out one trial with all files of a run, for a POSIX shell.
     pub fn rerun_command(&self, trial: u64) -> String {
         let study = &self.study;
-        // Where its layout depends on their number.
+        // If its layout depends on their number.
         let trials = match study.design {
             Design::Plain { .. } => String::new(),
             _ => format!(" --trials {}", study.design.trials()),
@@ -186,7 +186,7 @@ impl CampaignSummary {
     }
 }
 
-/// What a table is of.
+/// What a table belongs to.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Subject {
     /// Name for people.
@@ -201,7 +201,7 @@ pub struct Subject {
     pub first: u64,
 }
 
-/// Sums up the table of a study.
+/// Summarises the table of a study.
 pub fn summarise(
     subject: Subject,
     study: &Study,
@@ -242,7 +242,7 @@ pub fn summarise(
     })
 }
 
-/// Sums up trials in memory, which are in the order of their numbers.
+/// Summarises trials in memory, in the order of their numbers.
 pub fn summarise_trials(campaign: &Campaign<'_>, trials: &[Trial]) -> Result<CampaignSummary, SummaryError> {
     let columns = TrialColumns::of(campaign);
     let rows = trials.iter().map(|trial| columns.row(trial)).collect();
@@ -323,7 +323,7 @@ impl Counts {
     }
 }
 
-/// A count that a table has as a number.
+/// A count that a table holds as a number.
 fn whole(value: Option<f64>) -> u64 {
     // Numbers of trials are far below 2^52, and not negative.
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
@@ -338,7 +338,7 @@ fn failed_in(table: &dyn Table, rows: &Range<u64>) -> Result<u64, SummaryError> 
     Ok(failed)
 }
 
-/// A reason in which numbers do not count.
+/// A reason without its numbers.
 fn without_numbers(text: &str) -> String {
     let mut kind = String::new();
     let mut in_number = false;
@@ -354,7 +354,7 @@ fn without_numbers(text: &str) -> String {
     kind
 }
 
-/// What accuracy is told against: the true places of held-out poses, where there are any.
+/// Reference of the accuracy: the true places of held-out poses, if there are any.
 pub(super) fn told_set(table: &dyn Table, mode: Mode) -> Result<AccuracySet, SummaryError> {
     for kind in AccuracySet::ALL.into_iter().rev() {
         let column = place(table, &set_column(mode, kind, "rms_3d_m"))?;
@@ -367,7 +367,7 @@ pub(super) fn told_set(table: &dyn Table, mode: Mode) -> Result<AccuracySet, Sum
     Ok(AccuracySet::Identification)
 }
 
-/// What the trials of every other combination show more than the same draws of the first one.
+/// Difference of the trials of every other combination from the same draws of the first one.
 fn compare_with_first(
     table: &dyn Table,
     modes: &[(Mode, Vec<calibrig_model::ParameterId>)],

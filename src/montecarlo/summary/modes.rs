@@ -1,4 +1,4 @@
-//! What the trials of a group say of a mode.
+//! The trials of a group in a mode.
 
 use std::ops::Range;
 
@@ -15,34 +15,34 @@ use calibrig_estimation::identification::Mode;
 use calibrig_model::ParameterId;
 use calibrig_model::statistics::{NORMAL_95, student_t_quantile};
 
-/// Shares whose quantiles are told.
+/// Shares for which quantiles are given.
 const SHARES: [f64; 3] = [0.05, 0.5, 0.95];
 /// Bins of the pictures.
 const BINS: usize = 40;
 
-/// A mean over trials with its 95 % confidence interval, and how single trials are scattered.
+/// A mean over trials with its 95 % confidence interval, and the scatter of single trials.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MeanWithInterval {
-    /// Trials that it is known of.
+    /// Trials in which it is known.
     pub trials: u64,
     /// Over the trials.
     pub mean: f64,
-    /// Half the width of the mean's interval (Student's t); `None` from one trial.
+    /// Half the width of the mean's interval (Student's t); `None` for one trial.
     pub half_width: Option<f64>,
-    /// Standard deviation of single trials with its interval; `None` from one trial.
+    /// Standard deviation of single trials with its interval; `None` for one trial.
     pub deviation: Option<Estimate>,
     /// The 5 %, 50 % and 95 % quantiles of single trials.
     pub quantiles: [f64; 3],
-    /// Their 95 % intervals, which hold for any distribution; `None` of too few trials.
+    /// Their 95 % intervals, which hold for any distribution; `None` for too few trials.
     pub quantile_intervals: [Option<Interval>; 3],
 }
 
 /// How often something happened, of all trials.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rate {
-    /// So often.
+    /// Number of times.
     pub hits: u64,
-    /// Of so many.
+    /// Number of trials.
     pub trials: u64,
     /// The share with its exact 95 % interval.
     pub share: Estimate,
@@ -68,19 +68,19 @@ pub struct SetSummary {
     pub rms_3d: MeanWithInterval,
     /// Largest 3-D error.
     pub max_3d: MeanWithInterval,
-    /// How often the RMS was within the tolerance; a failed trial is not.
+    /// How often the RMS was within the tolerance; a failed trial counts as outside.
     pub rms_within: Option<Rate>,
     /// How often every pose was.
     pub max_within: Option<Rate>,
     /// Whether the trials are enough for the mean of the RMS, to 1 %.
     pub convergence: Option<Convergence>,
-    /// How the RMS of single trials is spread.
+    /// The distribution of the RMS of single trials.
     pub histogram: Option<Histogram>,
-    /// In a sweep: how much larger the mean RMS is than that of the first combination with the same draws.
+    /// In a sweep: the difference of the mean RMS from that of the first combination with the same draws.
     pub against_first: Option<Estimate>,
 }
 
-/// A parameter over the trials whose truth and standard deviation are known, SI.
+/// A parameter over the trials in which its truth and standard deviation are known, SI.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ParameterSummary {
     /// Which.
@@ -91,22 +91,22 @@ pub struct ParameterSummary {
     pub rmse: Estimate,
     /// Root of the mean stated variance.
     pub stated: f64,
-    /// RMSE over what is stated: about 1 where the stated uncertainty is the real one.
+    /// RMSE over the stated standard deviation: about 1 if the stated uncertainty is right.
     pub consistency: Estimate,
-    /// Root of the mean Cramér-Rao bound at the truth of every trial: no unbiased estimator that knows the measurements alone has a smaller RMSE.
-    /// One with priors may have. `None` where the truth of a parameter is not known, or the measurements alone do not determine all.
+    /// Root of the mean Cramér-Rao bound at the truth of every trial: no unbiased estimator that uses only the measurements has a smaller RMSE.
+    /// One with priors may. `None` if the truth of a parameter is unknown, or the measurements alone do not determine all.
     pub cramer_rao: Option<f64>,
-    /// The Bayesian Cramér-Rao bound, root of its mean over the trials, whose poses every estimator knows: none has a smaller RMSE over machines that
-    /// are drawn from the priors. `None` where no machines are drawn, no parameter has a prior, or the truth of one is not known.
+    /// The Bayesian Cramér-Rao bound, root of its mean over the trials, whose poses every estimator knows: none has a smaller RMSE over machines
+    /// drawn from the priors. `None` if no machines are drawn, no parameter has a prior, or the truth of one is unknown.
     pub bayesian: Option<f64>,
     /// RMSE over the bound that holds for this estimator.
     pub over_bound: Option<Estimate>,
-    /// How often the stated 95 % interval held the truth.
+    /// How often the stated 95 % interval contained the truth.
     pub coverage: Coverage,
 }
 
 impl ParameterSummary {
-    /// The bound that holds for this estimator: the Bayesian one, or, where there are no priors, that of the measurements alone.
+    /// The bound that holds for this estimator: the Bayesian one or, without priors, that of the measurements alone.
     pub fn least(&self) -> Option<f64> {
         self.bayesian.or(self.cramer_rao)
     }
@@ -119,37 +119,37 @@ pub struct ModeSummary {
     pub mode: Mode,
     /// Accuracy, set by set.
     pub sets: Vec<SetSummary>,
-    /// Trials that were identified but not soundly: not converged, or rank-deficient.
+    /// Trials that were identified but are not sound: not converged, or rank-deficient.
     pub doubtful: u64,
     /// Of the solver.
     pub iterations: Option<MeanWithInterval>,
-    /// About 1 where the model and the stated noise are right.
+    /// About 1 if the model and the stated noise are right.
     pub chi2_per_dof: Option<MeanWithInterval>,
-    /// NEES over its number of parameters, where every truth is known: about 1 for an honest covariance.
+    /// NEES over its number of parameters, if every truth is known: about 1 for an honest covariance.
     pub nees: Option<NeesSummary>,
-    /// Squared error over the bound, a parameter, where every truth is known: in the mean at least 1 for machines that are drawn from the priors
-    /// and are what the model says, and 1 for the best estimator.
+    /// Squared error over the bound, per parameter, if every truth is known: on average at least 1 for machines that are drawn from the priors
+    /// and match the model, and 1 for the best estimator.
     pub squared_over_bound: Option<MeanWithInterval>,
     /// Parameter by parameter.
     pub parameters: Vec<ParameterSummary>,
-    /// How often the stated 95 % interval of a predicted coordinate held the true one.
+    /// How often the stated 95 % interval of a predicted coordinate contained the true one.
     pub predictions: Option<PredictionCoverage>,
 }
 
 impl ModeSummary {
-    /// What the accuracy is told against: the true places of held-out poses, where there are any.
+    /// Reference of the accuracy: the true places of held-out poses, if there are any.
     pub fn told(&self) -> Option<&SetSummary> {
         AccuracySet::ALL.iter().rev().find_map(|kind| self.sets.iter().find(|set| set.kind == *kind))
     }
 }
 
-/// How often stated intervals of predicted coordinates held the true ones. Coordinates of one trial depend on the same estimate, so that
-/// trials are what counts: its uncertainty comes from the scatter between them.
+/// How often stated intervals of predicted coordinates contained the true ones. Coordinates of one trial depend on the same estimate, so
+/// trials are the unit: the uncertainty comes from the scatter between them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PredictionCoverage {
     /// Over all coordinates of all trials.
     pub coverage: Coverage,
-    /// Half the width of the 99.9 % interval of its fraction (Student's t over the trials); `None` from one trial.
+    /// Half the width of the 99.9 % interval of its fraction (Student's t over the trials); `None` for one trial.
     pub half_width: Option<f64>,
 }
 
@@ -160,9 +160,9 @@ pub struct NeesSummary {
     pub mean: f64,
     /// Its expectation: the mean number of parameters.
     pub parameters: f64,
-    /// Trials that it is known of.
+    /// Trials in which it is known.
     pub trials: u64,
-    /// What 99.9 % of sound campaigns lie in.
+    /// The band that contains 99.9 % of sound campaigns.
     pub band: (f64, f64),
 }
 
@@ -225,7 +225,7 @@ impl Rows<'_> {
         self.mean_of(&[name.to_owned()], |row| row[0].as_number())
     }
 
-    /// Mean and quantiles of what is made of some columns.
+    /// Mean and quantiles of a function of some columns.
     fn mean_of(
         &self,
         names: &[String],
@@ -281,7 +281,7 @@ impl Rows<'_> {
 
     fn histogram(&self, column: usize, moments: &Moments) -> Result<Option<Histogram>, SummaryError> {
         let (Some(low), Some(high)) = (moments.min(), moments.max()) else { return Ok(None) };
-        // The largest value is in the last bin, not above it.
+        // The largest value belongs to the last bin.
         let Ok(mut histogram) = Histogram::new(low, high.next_up(), BINS) else { return Ok(None) };
         self.table.visit(&[column], self.rows.clone(), &mut |row| {
             if let Some(value) = row[0].as_number() {
@@ -298,7 +298,7 @@ impl Rows<'_> {
         let names = [set_column(mode, kind, "rms_3d_m"), set_column(mode, kind, "max_3d_m")];
         self.visit(&names, |row| {
             for (proportion, cell) in within.iter_mut().zip(row) {
-                // A trial that failed has no figure, and is no success.
+                // A failed trial has no figure, and is not a success.
                 proportion.add(cell.as_number().is_some_and(|value| value <= tolerance));
             }
         })?;
@@ -316,7 +316,7 @@ impl Rows<'_> {
         })?;
         let (Some(mean), Some(parameters)) = (nees.mean(), parameters.mean()) else { return Ok(None) };
         let trials = nees.count();
-        // Their sum is chi-square with all degrees of freedom, also where trials differ in what they identify.
+        // Their sum is chi-square with all degrees of freedom, even if trials differ in what they identify.
         let (low, high) = chi2_band(trials as f64 * parameters, BAND);
         let band = (low * parameters, high * parameters);
         Ok(Some(NeesSummary { mean, parameters, trials, band }))
@@ -350,7 +350,7 @@ impl Rows<'_> {
         Ok(Some(PredictionCoverage { coverage, half_width }))
     }
 
-    /// Of one parameter, from the trials in which its truth and a standard deviation are known; `None` without any. With the Bayesian bound where
+    /// For one parameter, from the trials in which its truth and a standard deviation are known; `None` without any. With the Bayesian bound if
     /// the machines are drawn.
     fn parameter(
         &self,
@@ -376,7 +376,7 @@ pub(super) struct ParameterSums {
     squares: Moments,
     stated: RatioOfMeans,
     variance: Moments,
-    /// Of the Cramér-Rao bound and of the Bayesian one, with how many lack it.
+    /// Of the Cramér-Rao bound and of the Bayesian one, with the number of trials that lack it.
     bounds: [(Moments, RatioOfMeans, u64); 2],
     coverage: Coverage,
 }

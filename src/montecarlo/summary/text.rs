@@ -11,7 +11,7 @@ use crate::montecarlo::AccuracySet;
 use calibrig_estimation::identification::Mode;
 use calibrig_model::Unit;
 
-/// The tables. Intervals are of 95 % where nothing else is said.
+/// The tables. Intervals are of 95 % unless stated otherwise.
 pub fn summary_text(summary: &CampaignSummary) -> String {
     let mut text = String::new();
     // Writing to a String cannot fail.
@@ -66,7 +66,8 @@ fn failures_text(text: &mut String, summary: &CampaignSummary) {
     }
 }
 
-/// Value and half width of its interval, in `unit` of the value: with two digits of the half width that count, and three decimals at least.
+/// Value and half width of its interval, in `unit` of the value: with two significant digits of the half width, and at least three
+/// decimals.
 fn with_half(value: f64, half: Option<f64>, unit: f64) -> String {
     let Some(half) = half else { return format!("{:.3}", value / unit) };
     let digits = decimals(half / unit);
@@ -196,7 +197,7 @@ fn consistency_text(text: &mut String, group: &GroupSummary) {
         if let Some(predictions) = mode.predictions {
             let share = 100.0 * predictions.coverage.fraction();
             let _ = write!(text, "; {share:.2} %");
-            // Of few trials it says nothing.
+            // Says nothing for few trials.
             if let Some(half) = predictions.half_width.filter(|half| *half < 0.5) {
                 let _ = write!(text, " ± {:.2} (99.9 %)", 100.0 * half);
             }
@@ -258,7 +259,7 @@ fn fine(estimate: &Estimate, scale: f64) -> String {
     }
 }
 
-/// With the ends of its interval, which need not be in the middle.
+/// With the ends of its interval, which need not be symmetric.
 fn coarse(estimate: &Estimate) -> String {
     match estimate.interval {
         Some(interval) => format!("{:.3} [{:.3}, {:.3}]", estimate.value, interval.low, interval.high),
@@ -266,7 +267,7 @@ fn coarse(estimate: &Estimate) -> String {
     }
 }
 
-/// A tolerance as it was written: no more digits than a nanometre.
+/// A tolerance as it was written: no more digits than nanometres.
 fn in_mm(tolerance: f64) -> f64 {
     (1e9 * tolerance).round() / 1e6
 }
@@ -275,7 +276,7 @@ fn sweep_text(text: &mut String, summary: &CampaignSummary, groups: &[GroupSumma
     let names: Vec<_> = summary.study.factors.iter().map(|factor| factor.name.as_str()).collect();
     let modes: Vec<Mode> = summary.modes().iter().map(|mode| mode.mode).collect();
     for (place, mode) in modes.iter().enumerate() {
-        // One for all, so that a column is of one thing.
+        // One for all, so that a column has one meaning.
         let is_known = |kind: &&AccuracySet| {
             let modes = || groups.iter().filter_map(|group| group.modes.get(place));
             modes().any(|mode| mode.sets.iter().any(|set| set.kind == **kind))

@@ -49,13 +49,13 @@ impl<'a> Tooled<'a> {
 
 /// Commands that are to be driven.
 pub(super) struct Corrected {
-    /// One a goal; the nominal one where there is no other.
+    /// One per goal; the nominal one if there is no other.
     pub commands: Vec<Vec<f64>>,
     /// Of the tool's place there, m.
     pub sigmas: Vec<Option<Vector3<f64>>>,
     /// Goals without a command, by their numbers, with the reason.
     pub uncorrected: Vec<(u32, String)>,
-    /// Goals whose position alone is met, with the reason.
+    /// Goals of which only the position is met, with the reason.
     pub position_alone: Vec<(u32, String)>,
 }
 
@@ -70,7 +70,7 @@ impl Corrected {
         }
     }
 
-    /// Goals that do not count, beside those of its own.
+    /// Goals that do not count, in addition to its own.
     pub fn leave_out(&mut self, poses: &[(u32, String)]) {
         for (pose, why) in poses {
             if !self.uncorrected.iter().any(|(own, _)| own == pose) {
@@ -81,8 +81,8 @@ impl Corrected {
     }
 }
 
-/// Corrects nominal commands in their order. Where the machine goes from one to the next, beginning `from` a command, the side from which every actuator comes is that of the
-/// corrected commands; else it is as stated.
+/// Corrects nominal commands in their order. If the machine goes from one to the next, starting `from` a command, every actuator's side of approach
+/// is that of the corrected commands; else it is as stated.
 pub(super) fn correct(
     estimate: &Estimate,
     plan: &CompensationPlan,
@@ -103,7 +103,7 @@ pub(super) fn correct(
             && let Ok((point, _)) = &found
             && let Some(why) = far(estimate, point)
         {
-            // Near a singular pose a small turn of the tool takes a large one of the arm.
+            // Close to a singular pose a small turn of the tool takes a large one of the arm.
             let position = Goal::Position(goal.position());
             found = next(&mut compensator, &position, nominal, (known, travel.as_ref()))?;
             if found.is_ok() {
@@ -125,7 +125,7 @@ pub(super) fn correct(
     Ok(corrected)
 }
 
-/// Why a corrected command is too far from the nominal one; `None` where it is not.
+/// Why a corrected command is too far from the nominal one; `None` if it is not.
 fn far(estimate: &Estimate, point: &CompensatedPoint) -> Option<String> {
     let (joint, way) = point.far_correction()?;
     let link = estimate.robot.model.kinematics.links.get(joint)?;
@@ -136,10 +136,10 @@ fn far(estimate: &Estimate, point: &CompensatedPoint) -> Option<String> {
     Some(format!("to meet the whole goal, {} would move by {way}: the pose is nearly singular", link.name))
 }
 
-/// A correction and where it leaves the travel, or why nothing meets the goal.
+/// A correction with where it leaves the travel, or why nothing meets the goal.
 type OrWhy = Result<(CompensatedPoint, Option<Travel>), String>;
 
-/// The command for a goal, the next one where the machine travels from goal to goal.
+/// The command for a goal; the next one if the machine goes from goal to goal.
 fn next(
     compensator: &mut Compensator<'_>,
     goal: &Goal,
@@ -167,7 +167,8 @@ fn next(
     }
 }
 
-/// The nominal robot's commands for goals, by a criterion, each sought from the planned one within the working region; the planned one, and why, where none is found.
+/// The nominal robot's commands for goals, by a criterion, each searched from the planned one within the working region; if none is found, the
+/// planned one, with the reason.
 pub(super) fn nominal_by(
     scenario: &Scenario,
     tool: Tool,
@@ -194,7 +195,7 @@ pub(super) fn nominal_by(
     Ok((commands, missed))
 }
 
-/// How far the tool is deflected at commands by what a robot knows of itself: mean and largest, m.
+/// The tool's deflection at commands, from what a robot knows about itself: mean and largest, m.
 pub(super) fn droop(
     robot: &CalibratedRobot,
     corrected: &Corrected,

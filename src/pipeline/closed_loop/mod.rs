@@ -1,5 +1,5 @@
-//! From an estimate to an accurate robot, and the proof of it: the commands of the verification set, of a pose test and of a path, corrected by every identified
-//! robot, are driven on the machine and measured again.
+//! From an estimate to an accurate robot, with the proof: the commands of the verification set, of a pose test and of a path, corrected by every
+//! identified robot, are driven on the machine and measured again.
 
 mod commands;
 mod path;
@@ -35,16 +35,16 @@ pub enum ClosedLoopError {
         /// Why.
         source: Box<CompensationError>,
     },
-    /// The machine does not take a command.
+    /// The machine cannot reach a command.
     #[error("{source}")]
     Drive {
         /// Why.
         source: Box<DriveError<PipelineError>>,
     },
-    /// The pose test cannot be.
+    /// The pose test is impossible.
     #[error("the pose test: {0}")]
     PoseTest(Box<Iso9283Failure>),
-    /// The path cannot be.
+    /// The path is impossible.
     #[error("the path: {0}")]
     Path(Box<CompensationError>),
 }
@@ -61,9 +61,10 @@ impl From<ReachError> for ClosedLoopError {
     }
 }
 
-/// Corrects the commands of a run's poses by every robot that it identified, drives them on the same machine, and measures what comes of it: `None` where the scenario
-/// has no `[compensation]`. Nothing of the truth is looked at; of the scenario's machine only the plant and the tracker know. `progress` is told poses done and of all, and may
-/// end it. Goals that a robot cannot meet, what cannot be driven, and where it was ended, are part of the result: the run behind it is worth more.
+/// Corrects the commands of a run's poses by every robot that it identified, drives them on the same machine, and measures the result: `None` if the
+/// scenario has no `[compensation]`. The truth is not used; only the plant and the tracker know the scenario's machine. `progress` receives poses
+/// done and of all, and may end it. Goals that a robot cannot meet, commands that cannot be driven, and an interruption are part of the result, so
+/// that the run before is not lost.
 pub fn close_loop(
     scenario: &Scenario,
     at: (u64, u32, PlantKind),
@@ -102,7 +103,7 @@ pub fn close_loop(
     }))
 }
 
-/// Poses that are driven in all.
+/// Number of poses that are driven in all.
 fn total(scenario: &Scenario, plan: &CompensationPlan, outcome: &Outcome) -> u32 {
     let modes = u32::try_from(outcome.modes.len()).unwrap_or(u32::MAX);
     let criteria = u32::try_from(plan.compare.len()).unwrap_or(u32::MAX);
@@ -121,7 +122,7 @@ struct Loop<'a, 'p> {
     at: (u64, u32),
     plant: PlantKind,
     outcome: &'a Outcome,
-    /// The nominal robot where it lies best on the measurements.
+    /// The nominal robot at its best fit to the measurements.
     nominal: &'a CalibratedRobot,
     done: u32,
     total: u32,
@@ -169,7 +170,8 @@ impl Loop<'_, '_> {
         })
     }
 
-    /// What was driven; or `None`, and the reason among the failures. After an interruption nothing is driven any more, which is told once.
+    /// What was driven; or `None`, with the reason among the failures. After an interruption nothing more is driven, which is reported
+    /// once.
     fn kept<T>(&mut self, what: &str, driven: Result<T, PipelineError>) -> Option<T> {
         let error = match driven {
             Ok(driven) => return Some(driven),
@@ -181,7 +183,8 @@ impl Loop<'_, '_> {
         None
     }
 
-    /// What a controller knows of each pose of the verification set before it is driven; its first readings are at these times, s.
+    /// What a controller knows about each pose of the verification set before it is driven; its first readings are at these times,
+    /// s.
     fn circumstances(&self, times: &[f64]) -> Vec<Circumstances> {
         let payloads = &self.scenario.plan.payloads;
         let planned = |(pose, time): (usize, &f64)| Circumstances {
@@ -211,13 +214,14 @@ impl Loop<'_, '_> {
         all
     }
 
-    /// Where the controller believes the tool to be at its commands.
+    /// The tool's places at its commands, as the controller believes.
     fn goals(&self, commands: &[Vec<f64>]) -> Result<Vec<Goal>, PipelineError> {
         let tooled = Tooled::new(self.nominal, self.plan)?;
         commands.iter().map(|command| tooled.goal(command)).collect()
     }
 
-    /// The nominal commands for goals, by a criterion within the working region or as planned; and the poses that it finds none for.
+    /// The nominal commands for goals, by a criterion within the working region or as planned; and the poses for which there are
+    /// none.
     fn resolved(
         &self,
         planned: &[Vec<f64>],
@@ -292,7 +296,7 @@ impl Loop<'_, '_> {
         Ok(DrivenMode { mode, points, set, uncorrected, position_alone })
     }
 
-    /// A set freed from the motion of the trackers by the session's rounds of nests.
+    /// A set corrected for the motion of the trackers, from the session's rounds of nests.
     fn steady(&self, set: SetOutcome) -> Result<SetOutcome, PipelineError> {
         let whole =
             if self.outcome.as_measured.is_empty() { &self.outcome.sets } else { &self.outcome.as_measured };
@@ -378,7 +382,7 @@ impl Loop<'_, '_> {
 /// Nominal commands, and the poses without one.
 type Resolved = (Vec<Vec<f64>>, Vec<(u32, String)>);
 
-/// What stands for the machine.
+/// The model of the machine.
 enum Driven {
     Rapier(Box<Plant>),
     Analytic(Box<AnalyticMachine>),
@@ -395,7 +399,7 @@ impl Driven {
     }
 }
 
-/// So that a drive needs no code of its own for either.
+/// So that a drive needs no separate code for either.
 impl Machine for Driven {
     type Error = PipelineError;
 

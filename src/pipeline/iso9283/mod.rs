@@ -35,14 +35,14 @@ use calibrig_plant::Plant;
 use calibrig_plant::session::{CycleError, CycleMeasurements, SessionEvent};
 use calibrig_plant::tracker::TrackerError;
 
-/// What is asked of a test on the simulated machine.
+/// Settings of a test on the simulated machine.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Iso9283Plan {
     /// Cycles: 30 in the standard.
     pub cycles: u32,
-    /// Edge of the cube, m; `None` for the largest that is found in the working region.
+    /// Edge of the cube, m; `None` for the largest found in the working region.
     pub edge: Option<f64>,
-    /// Its middle in the base frame, m; `None` for the target's place in the middle of the region.
+    /// Its centre in the base frame, m; `None` for the target's place in the middle of the region.
     pub centre: Option<Vector3<f64>>,
     /// The plane of the poses.
     pub plane: CubePlane,
@@ -58,7 +58,7 @@ pub enum Iso9283Failure {
     /// The session before it, or the machine.
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
-    /// The machine cannot take a pose.
+    /// The machine cannot reach a pose.
     #[error("P{pose} in cycle {cycle}: {source}")]
     Pose {
         /// Number of the pose.
@@ -98,7 +98,7 @@ pub enum Iso9283Failure {
         /// Why.
         source: TrackerError,
     },
-    /// The measurements are no cycles.
+    /// The measurements are not cycles.
     #[error(transparent)]
     Cycles(#[from] Iso9283Error),
     /// There is no such target.
@@ -119,22 +119,22 @@ pub enum Iso9283Failure {
     },
 }
 
-/// What was measured and what it says.
+/// The measurements and their evaluation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Iso9283Outcome {
-    /// Where the measurements came from.
+    /// Origin of the measurements.
     pub input: InputSummary,
     /// Of the robot.
     pub robot: String,
     /// Cycles at every pose.
     pub cycles: usize,
-    /// The cube, where it is known.
+    /// The cube, if known.
     pub cube: Option<TestCube>,
     /// In which frame positions and axes are.
     pub frame: &'static str,
-    /// One a target.
+    /// One per target.
     pub targets: Vec<Iso9283Target>,
-    /// Orientation from three or more targets together; `None` where there are fewer, or readings hold it themselves.
+    /// Orientation from three or more targets together; `None` if there are fewer, or readings include it.
     pub combined: Option<CombinedOrientation>,
     /// What is left open or was left out, in words.
     pub remarks: Vec<String>,
@@ -142,16 +142,16 @@ pub struct Iso9283Outcome {
     pub doubts: Vec<String>,
 }
 
-/// What one target says.
+/// Results of one target.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Iso9283Target {
     /// Its name.
     pub name: String,
     /// By their numbers.
     pub poses: Vec<Iso9283Pose>,
-    /// Scatter of all poses against what the readings state; `None` where one states nothing.
+    /// Scatter of all poses against the stated noise; `None` if a reading states none.
     pub over_stated: Option<ScatterOverStated>,
-    /// Against what the poses are accurate, one row a robot.
+    /// Accuracy, one row per robot that it refers to.
     pub rows: Vec<AccuracyAgainst>,
 }
 
@@ -162,13 +162,13 @@ pub struct Iso9283Pose {
     pub pose: u32,
     /// Barycentre of the attained positions, m.
     pub barycentre: Vector3<f64>,
-    /// Attained positions about the barycentre, one a cycle, m.
+    /// Attained positions about the barycentre, one per cycle, m.
     pub deviations: Vec<Vector3<f64>>,
     /// RP of the position.
     pub position: PositionRepeatability,
-    /// RP of the orientation, where readings are full poses.
+    /// RP of the orientation, if readings are full poses.
     pub orientation: Option<OrientationRepeatability>,
-    /// Root of the mean squared length of the readings' error as they state it, m; `None` where one states none. It is part of RP.
+    /// Root of the mean squared length of the readings' stated error, m; `None` if a reading states none. It is part of RP.
     pub stated_sigma: Option<f64>,
 }
 
@@ -181,12 +181,12 @@ pub struct AccuracyAgainst {
     pub title: String,
     /// How the tracker's frame is tied to the base.
     pub registration: String,
-    /// One a pose.
+    /// One per pose.
     pub position: Vec<PositionAccuracy>,
-    /// What the robot states to be off by at each pose, with the tracker's place and the target's offset, which all cycles have in common: root of the mean squared
-    /// length, m. `None` where it is not known.
+    /// The robot's stated error at each pose, with the tracker's place and the target's offset, which all cycles share: root of the mean squared
+    /// length, m. `None` if unknown.
     pub expected_sigma: Vec<Option<f64>>,
-    /// One a pose, where readings are full poses; else empty.
+    /// One per pose, if readings are full poses; else empty.
     pub orientation: Vec<OrientationAccuracy>,
 }
 
@@ -195,13 +195,13 @@ pub struct AccuracyAgainst {
 pub struct CombinedOrientation {
     /// Names of the targets.
     pub targets: Vec<String>,
-    /// One a pose.
+    /// One per pose.
     pub repeatability: Vec<OrientationRepeatability>,
-    /// By the key of the row: one a pose.
+    /// By the key of the row: one per pose.
     pub accuracy: Vec<(&'static str, Vec<OrientationAccuracy>)>,
 }
 
-/// A robot against whose prediction poses are accurate.
+/// A robot whose predictions are the reference of the accuracy.
 struct Against {
     key: &'static str,
     title: String,
@@ -210,12 +210,12 @@ struct Against {
     states: Stated,
 }
 
-/// What a robot states of its own errors.
+/// A robot's stated errors.
 enum Stated {
     Nothing,
-    /// Covariance of the displacement of each station by its nests: the robot itself is taken as it is.
+    /// Covariance of the displacement of each station by its nests: the robot itself is taken as exact.
     Stations(Vec<Matrix6<f64>>),
-    /// Mean squared length of the error, an entry an observation, m².
+    /// Mean squared length of the error, one entry per observation, m².
     Observations(Vec<f64>),
 }
 
@@ -239,8 +239,9 @@ impl Stated {
     }
 }
 
-/// Simulates the session of a scenario, identifies in every mode, and then drives the cycles of a pose test on the same machine with the same set-up of the
-/// tracker: a pure function of (scenario, seed, trial, plant, plan). `progress` is told the number of poses done and of all poses, and may end the test.
+/// Simulates the session of a scenario, identifies in every mode, and then drives the cycles of a pose test on the same machine with the same set-up
+/// of the tracker: a pure function of (scenario, seed, trial, plant, plan). `progress` receives the number of poses done and of all poses, and may
+/// end the test.
 ///
 /// # Errors
 ///
@@ -367,7 +368,7 @@ pub(super) fn cycles_failed<E: Into<PipelineError>>(error: CycleError<E>) -> Iso
     }
 }
 
-/// What is known beside the measurements.
+/// What is known besides the measurements.
 struct Facts {
     input: InputSummary,
     robot: String,
@@ -376,8 +377,8 @@ struct Facts {
     doubts: Vec<String>,
 }
 
-/// Evaluates measured cycles: of the target with this name, else of every one; of the first `cycles` where these are asked for. Accuracy is that of the nominal robot,
-/// with the tracker tied to the base by its nests, and where a best fit leaves enough of it, by a best fit.
+/// Evaluates measured cycles: of the target with this name, else of every one; of the first `cycles` if given. Accuracy is that of the nominal robot,
+/// with the tracker tied to the base by its nests and, if enough coordinates remain, by a best fit.
 ///
 /// # Errors
 ///
@@ -426,12 +427,12 @@ pub fn iso9283_of_set(
     evaluate(set, &targets, cycles, &against, facts)
 }
 
-/// Whether the offset of a target is no more than a place to start from.
+/// Whether the offset of a target is only a starting value.
 fn is_unknown(set: &MeasurementSet, target: usize) -> bool {
     set.targets.get(target).is_none_or(|t| t.covariance.is_none() && t.in_flange.norm() == 0.0)
 }
 
-/// The nominal robot with its stations placed by their nests; why not, in words.
+/// The nominal robot with its stations placed by their nests; or why not, in words.
 fn by_nests(model: &CalibrationModel, set: &MeasurementSet) -> Result<Against, String> {
     let stations: Result<Vec<_>, RegistrationError> = set.stations.iter().map(register).collect();
     let stations = stations.map_err(|why| match why {
@@ -462,10 +463,11 @@ fn by_nests(model: &CalibrationModel, set: &MeasurementSet) -> Result<Against, S
     })
 }
 
-/// Of a best fit, at least so many coordinates of distinct poses a number that it fits: else it takes most of the accuracy into itself.
+/// A best fit needs at least this many coordinates of distinct poses per number that it fits: otherwise it absorbs most of the
+/// accuracy.
 const COORDINATES_PER_NUMBER: usize = 3;
 
-/// The nominal robot laid over the measurements; why not, in words.
+/// The nominal robot fitted to the measurements; or why not, in words.
 fn by_best_fit(model: &CalibrationModel, set: &MeasurementSet) -> Result<Against, String> {
     let fitted = 6 * set.stations.len() + 3 * set.targets.iter().filter(|t| t.covariance.is_none()).count();
     let coordinates = 3 * set.same_commands().len();
@@ -561,7 +563,7 @@ fn evaluate(
     Ok(Iso9283Outcome { input, robot, cycles, cube, frame, targets: evaluated, combined, remarks, doubts })
 }
 
-/// What of the cycles of a target is not as the standard has it.
+/// How the cycles of a target differ from the standard.
 fn remarks_on(target: &str, poses: &[TestPose], once: usize) -> Vec<String> {
     let mut remarks = Vec::new();
     if poses.len() != ISO_POSES {
@@ -585,7 +587,7 @@ fn remarks_on(target: &str, poses: &[TestPose], once: usize) -> Vec<String> {
     remarks
 }
 
-/// Measured minus predicted in the base frame, one an observation; what no test needs is zero.
+/// Measured minus predicted in the base frame, one per observation; zero if no test needs it.
 struct Errors {
     position: Vec<Vector3<f64>>,
     /// Rotation vectors of full poses, rad.
@@ -623,7 +625,7 @@ fn errors_against(
     Ok(errors)
 }
 
-/// Readings in one frame: the base's where stations are placed, else the tracker's.
+/// Readings in one frame: the base's if stations are placed, else the tracker's.
 struct Frames<'a> {
     set: &'a MeasurementSet,
     stations: Option<&'a [Transform]>,
@@ -674,8 +676,8 @@ impl Frames<'_> {
     }
 }
 
-/// Orientation from three or more points that were measured in the same poses and cycles; `None` where they are fewer, lie on one line, or hold orientations of
-/// their own.
+/// Orientation from three or more points that were measured in the same poses and cycles; `None` if they are fewer, on one line, or have orientations
+/// of their own.
 fn combined(
     frames: &Frames<'_>,
     tests: &[(usize, Vec<TestPose>)],

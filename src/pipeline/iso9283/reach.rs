@@ -1,4 +1,4 @@
-//! Commands for the poses of the test cube: positions alone, nearest to the middle of the working region.
+//! Commands for the poses of the test cube: only positions, nearest to the middle of the working region.
 
 use nalgebra::Vector3;
 use thiserror::Error;
@@ -9,11 +9,11 @@ use calibrig_model::CalibrationModel;
 use calibrig_model::ModelError;
 use calibrig_plant::experiment::WorkingRegion;
 
-/// A cube whose poses cannot be taken.
+/// Why the poses of a cube cannot be reached.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum ReachError {
-    /// A pose is out of the working region.
+    /// A pose is outside the working region.
     #[error(
         "{name} of the cube of {edge_mm:.0} mm, at ({}) m in the base frame, is outside the working region: the nearest point \
          found is {off_mm:.1} mm away",
@@ -26,10 +26,10 @@ pub enum ReachError {
         edge_mm: f64,
         /// Where it is in the base frame, m.
         place: Vector3<f64>,
-        /// What was left, mm.
+        /// The remaining distance, mm.
         off_mm: f64,
     },
-    /// Not even a small cube lies in the region.
+    /// Not even a small cube fits in the region.
     #[error("no cube of {least_mm:.0} mm or more about ({}) m in the base frame fits in the working region",
         centre.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", "))]
     NoCube {
@@ -38,7 +38,7 @@ pub enum ReachError {
         /// mm
         least_mm: f64,
     },
-    /// The robot or its region cannot be one.
+    /// The robot or its region is invalid.
     #[error(transparent)]
     Model(#[from] ModelError),
     /// The robot has no inverse kinematics.
@@ -50,7 +50,7 @@ pub enum ReachError {
 const EDGE_STEP: f64 = 0.01;
 /// No working space is larger, m.
 const LARGEST_EDGE: f64 = 20.48;
-/// Searches for a place, beside the one from the middle of the region.
+/// Searches for a place, in addition to the one from the middle of the region.
 const STARTS: usize = 8;
 
 /// The rigid nominal robot with its joints inside the working region, as its controller believes it to be.
@@ -112,7 +112,7 @@ impl Reach {
         Ok(poses)
     }
 
-    /// The largest cube about `centre` whose poses were found, in steps of 10 mm: a lower bound of what there is, since a search may miss a way.
+    /// The largest cube about `centre` whose poses were found, in steps of 10 mm: a lower bound, because a search may miss a solution.
     pub fn largest(
         &mut self,
         centre: Vector3<f64>,

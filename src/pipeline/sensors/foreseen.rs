@@ -1,4 +1,4 @@
-//! What other targets would have told at the poses that were measured, by linearisation at the estimate: no machine is simulated.
+//! What other targets would have determined at the measured poses, by linearisation at the estimate: no machine is simulated.
 
 use std::collections::HashMap;
 
@@ -14,36 +14,36 @@ use calibrig_model::measurement::{
 };
 use calibrig_model::{CalibrationModel, ParameterId};
 
-/// A reading with less than this weight in a robust fit is left aside.
+/// A reading with less than this weight in a robust fit is left out.
 const LEAST_WEIGHT: f64 = 0.5;
 
-/// What one point, three points and full poses tell of a robot, at the poses of a session.
+/// What one point, three points and full poses determine about a robot, at the poses of a session.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SensorStudy {
-    /// Whose estimate it rests on.
+    /// The estimate that it is based on.
     pub mode: Mode,
     /// The poses where the robot is predicted.
     pub predicted: SetKind,
-    /// One entry a kind of target, what was measured among them.
+    /// One entry per kind of target, including the measured one.
     pub sensors: Vec<SensorProspect>,
 }
 
-/// What one of them tells.
+/// Results of one of them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SensorProspect {
     /// Which.
     pub sensor: Sensor,
-    /// Whether it is what was measured; else it is what would be if it had been.
+    /// Whether it was measured; otherwise it is a prediction.
     pub is_measured: bool,
-    /// Rank of the fit, with its priors as the estimate's.
+    /// Rank of the fit, with the priors of the estimate.
     pub rank: usize,
     /// By observations, nests and targets alone.
     pub measured_rank: usize,
     /// Every parameter with its standard deviation, SI; `None` from a singular system, or at a bound.
     pub parameters: Vec<(ParameterId, Option<f64>)>,
-    /// Parameters that it does not tell from others, with those.
+    /// Parameters that it does not separate from others, with those.
     pub open: Vec<String>,
-    /// How well the robot is predicted; `None` from a singular system.
+    /// Uncertainty of the robot's predictions; `None` from a singular system.
     pub spread: Option<ForeseenSpread>,
 }
 
@@ -54,8 +54,8 @@ impl SensorProspect {
     }
 }
 
-/// What the targets of the first of `sets`, fewer, more, and full poses tell, for the last of `modes` that has an estimate; `None` where there is none, or
-/// the first target was not seen.
+/// What the targets of the first of `sets`, fewer, more, and full poses determine, for the last of `modes` that has an estimate; `None` if there is
+/// none, or the first target was not seen.
 pub fn foresee_sensors(
     model: &CalibrationModel,
     sets: &[SetOutcome],
@@ -69,7 +69,7 @@ pub fn foresee_sensors(
     let predicted = sets.iter().skip(1).find(seen).or(sets.first())?;
     let session = Session::new(fitted, estimate)?;
     let prospect = |(sensor, is_measured, set): (Sensor, bool, Option<MeasurementSet>)| {
-        // What cannot be measured so is left out of the comparison.
+        // A target that cannot be measured is left out of the comparison.
         let foreseen = foresee(model, &set?, options, estimate).ok()?;
         Some(SensorProspect {
             sensor,
@@ -86,7 +86,7 @@ pub fn foresee_sensors(
     is_comparison.then_some(SensorStudy { mode: outcome.mode, predicted: predicted.kind, sensors })
 }
 
-/// A measured set whose readings all count.
+/// A measured set with all its readings in use.
 struct Session<'a> {
     set: MeasurementSet,
     estimate: &'a Estimate,
@@ -120,7 +120,7 @@ impl<'a> Session<'a> {
         let targets = (0..set.targets.len()).take_while(|target| seen(*target)).count();
         let others = (targets..set.targets.len()).any(seen);
         let are_points = !set.has_poses();
-        // Readings whose noise was found are given it.
+        // Readings whose noise was found get it.
         for reading in set.observations.iter_mut().map(|o| &mut o.reading) {
             let found = sigma.map(|sigma| Matrix3::identity() * sigma * sigma);
             if reading.position_covariance().is_none() && !matches!(reading, Reading::Pose(_)) {
@@ -130,7 +130,7 @@ impl<'a> Session<'a> {
         (targets > 0 && !others).then_some(Self { set, estimate, targets, are_points })
     }
 
-    /// What is compared: which, whether it was measured, and its measurements where they can be.
+    /// What is compared: which, whether it was measured, and its measurements if possible.
     fn variants(&self) -> Vec<(Sensor, bool, Option<MeasurementSet>)> {
         let (points, one) = (self.are_points, self.targets == 1);
         let three = self.three();
@@ -166,8 +166,8 @@ impl<'a> Session<'a> {
         set
     }
 
-    /// Three points: the first three that were measured, else the first and two more, [`ARM`] from it along the flange's x and y, read and stated as
-    /// well as it.
+    /// Three points: the first three that were measured, else the first and two more, [`ARM`] from it along the flange's x and y, read and stated
+    /// equally well.
     fn three(&self) -> Option<MeasurementSet> {
         if self.targets >= 3 {
             return Some(self.points(3));
@@ -203,8 +203,8 @@ impl<'a> Session<'a> {
     }
 }
 
-/// The poses that three points make, where all three were seen together. Their places in the tool are taken as exact in each pose; how well the
-/// tool is known to be turned on the flange follows from what is stated of them.
+/// The poses that three points make, if all three were seen together. Their places in the tool are taken as exact in each pose; the uncertainty
+/// of the tool's orientation on the flange follows from their stated uncertainties.
 fn combined(three: &MeasurementSet) -> Option<MeasurementSet> {
     let in_flange: Vec<_> = three.targets.iter().map(|target| target.in_flange).collect();
     let first = *in_flange.first()?;
@@ -243,7 +243,7 @@ fn combined(three: &MeasurementSet) -> Option<MeasurementSet> {
     })
 }
 
-/// A reading of another point near that of `reading`, as sure as that.
+/// A reading of another point near that of `reading`, with the same uncertainty.
 fn read_at(reading: &Reading, position: Vector3<f64>) -> Reading {
     match reading {
         Reading::Spherical(own) => {

@@ -1,4 +1,4 @@
-//! `[effects.transmission]`, `[effects.lost_motion]` and `[effects.stiffening]`: what drives do under their load.
+//! `[effects.transmission]`, `[effects.lost_motion]` and `[effects.stiffening]`: effects of the load on drives.
 
 use std::f64::consts::TAU;
 
@@ -11,7 +11,8 @@ use calibrig_plant::effects::{
     EffectError, LostMotion, Stiffening, StiffnessCurve, Transmission, TransmissionWave,
 };
 
-/// A wave whose phase, over the joint's travel, stays so near to that of the motor's turns, in periods, is theirs.
+/// A wave whose phase differs from that of the motor's turns by less than this over the joint's travel, in periods,
+/// counts as theirs.
 const SAME_WAVE: f64 = 0.5;
 
 impl Reader<'_> {
@@ -178,7 +179,7 @@ fn closing(file: &LostMotionEntry) -> Key<'_> {
     Key { name: "closes_at", linear: ("n", &file.closes_at_n), angular: ("nm", &file.closes_at_nm) }
 }
 
-/// Where the load stands that closes the gap of an entry.
+/// Place of the load that closes the gap of an entry.
 fn closing_place(entry: &Spanned<LostMotionEntry>) -> std::ops::Range<usize> {
     let file = entry.get_ref();
     file.closes_at_n.as_ref().or(file.closes_at_nm.as_ref()).map_or(entry.span(), Spanned::span)

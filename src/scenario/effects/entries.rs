@@ -1,4 +1,4 @@
-//! The entries of the sections, as they stand in the file.
+//! The entries of the sections, as in the file.
 
 use std::ops::Range;
 
@@ -10,7 +10,7 @@ pub(super) fn yes() -> bool {
     true
 }
 
-/// A section with an entry a joint.
+/// A section with one entry per joint.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(in crate::scenario) struct Section<E> {

@@ -1,5 +1,5 @@
-//! `[effects.*]`: what a real machine does beside its geometry and its elasticity. A section is off where it is not there or says
-//! `enabled = false`.
+//! `[effects.*]`: errors of a real machine besides geometry and elasticity. A section is off if it is missing or has `enabled =
+//! false`.
 
 mod drive_train;
 mod entries;
@@ -78,7 +78,7 @@ struct Key<'a> {
     angular: (&'a str, &'a Option<Spanned<f64>>),
 }
 
-/// Which numbers make sense.
+/// Which numbers are valid.
 #[derive(Clone, Copy)]
 enum Numbers {
     NotNegative,
@@ -103,7 +103,7 @@ struct Reader<'a> {
     robot: &'a Robot,
 }
 
-/// A value an actuator from each entry of a section.
+/// One value per actuator from each entry of a section.
 type Values<T> = Option<Vec<T>>;
 
 impl Reader<'_> {
@@ -115,7 +115,7 @@ impl Reader<'_> {
         self.source.error(span, message, Some(format!("expected {expected}")))
     }
 
-    /// One value an actuator, `none` where it has no entry; `None` if the section is off.
+    /// One value per actuator, `none` without an entry; `None` if the section is off.
     fn section<E: Joint, T: Clone>(
         &self,
         key: &str,
@@ -141,7 +141,7 @@ impl Reader<'_> {
         Ok(enabled.then_some(values))
     }
 
-    /// The value of a key in the unit of the joint's kind, SI; `None` where it is not given.
+    /// The value of a key in the unit of the joint's kind, SI; `None` if it is not given.
     fn optional(&self, joint: usize, key: &Key<'_>, numbers: Numbers) -> Result<Option<f64>, InputError> {
         let link = &self.chain().links[joint];
         let ((own, value), (foreign, wrong), kind) = match link.kind {
@@ -161,7 +161,7 @@ impl Reader<'_> {
         Ok(Some(unit(own) * number))
     }
 
-    /// The same where the key must be there.
+    /// The same for a required key.
     fn required(
         &self,
         joint: usize,
@@ -216,7 +216,7 @@ impl Reader<'_> {
         Ok(actuators.map(|actuators| Harmonics { actuators }))
     }
 
-    /// Motor turns per m or rad: the entry's, or those that the robot's file gives.
+    /// Motor turns per m or rad: those of the entry, or of the robot's file.
     fn motor_turns(&self, joint: usize, entry: &Spanned<HarmonicEntry>) -> Result<f64, InputError> {
         let file = entry.get_ref();
         let key = Key {
@@ -405,5 +405,5 @@ impl Reader<'_> {
     }
 }
 
-/// No transmission that works is farther off.
+/// No working transmission has a larger error.
 const MOST_PPM: f64 = 10_000.0;

@@ -1,4 +1,4 @@
-//! `[effects.foundation]` and `[effects.hoses]`: what of the effects is part of the machine's statics.
+//! `[effects.foundation]` and `[effects.hoses]`: the effects that are part of the machine's statics.
 
 use nalgebra::Vector3;
 use serde::Deserialize;
@@ -51,7 +51,7 @@ struct HoseFile {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct AnchorFile {
-    /// On the link of this joint; on the ground without it.
+    /// On the link of this joint; on the ground if absent.
     joint: Option<Spanned<String>>,
     x_mm: Spanned<f64>,
     y_mm: Spanned<f64>,

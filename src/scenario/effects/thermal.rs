@@ -28,13 +28,13 @@ pub(in crate::scenario) struct ThermalFile {
 }
 
 impl ThermalFile {
-    /// Where the file says how far the air goes.
+    /// The place in the file that states the air's range.
     fn air(&self) -> &Spanned<f64> {
         self.drift_c_per_h.as_ref().or(self.swing_c.as_ref()).unwrap_or(&self.start_c)
     }
 }
 
-/// Refuses air that gets too warm or cold while the session lasts.
+/// Refuses air that gets too warm or cold during the session.
 pub(in crate::scenario) fn check_air(
     source: &Source,
     file: &EffectsFile,
@@ -150,7 +150,7 @@ fn ambient(reader: &Reader<'_>, file: &ThermalFile) -> Result<Ambient, InputErro
     Ok(Ambient { start, drift, swing, period, phase })
 }
 
-/// The greatest coefficient of a metal, zinc's, is below.
+/// Above the greatest coefficient of a metal, that of zinc.
 const MOST_EXPANSION: f64 = 50.0;
 
 /// (expansion per kelvin, time constant in s)
@@ -196,7 +196,7 @@ fn growth(reader: &Reader<'_>, entry: &Spanned<GrowthFile>) -> Result<Growth, In
     Ok(Growth { part: GrowingPart::Link { joint, axis }, length, with_travel, expansion, lag, heat })
 }
 
-/// What a drive leaves in a part.
+/// A drive's heat in a part.
 fn heat(reader: &Reader<'_>, table: &Spanned<HeatFile>) -> Result<DriveHeat, InputError> {
     let file = table.get_ref();
     let actuator = super::joint_index(reader.source, &file.joint, reader.chain())?;

@@ -125,6 +125,26 @@ impl Manifest {
         if self.shards != other.shards {
             return differs("shards:", &self.shards, &other.shards);
         }
-        Some(if self.study == other.study { "different columns" } else { "a different study" }.to_owned())
+        if self.study == other.study {
+            Some("different columns".to_owned())
+        } else {
+            Some(self.study_difference(&other.study))
+        }
+    }
+
+    /// The first key of the study that differs, with both values if they are short enough to read.
+    fn study_difference(&self, theirs: &serde_json::Value) -> String {
+        for (key, ours) in self.study.as_object().into_iter().flatten() {
+            let theirs = theirs.get(key).unwrap_or(&serde_json::Value::Null);
+            if ours != theirs {
+                let is_long = |value: &serde_json::Value| value.is_array() || value.is_object();
+                return if is_long(ours) || is_long(theirs) {
+                    format!("a different study (key {key})")
+                } else {
+                    format!("{key} {theirs} instead of {ours}")
+                };
+            }
+        }
+        "a different study".to_owned()
     }
 }

@@ -199,7 +199,9 @@ fn a_folder_holds_one_campaign() {
         (&|m| m.software.version = "9".to_owned(), "software version 0.1.0 instead of 9"),
         (&|m| m.software.binary_sha256 = "9".to_owned(), "a different build of version 0.1.0"),
         (&|m| m.inputs[0].sha256 = "9".to_owned(), "a different text of the scenario"),
+        (&|m| m.study = serde_json::json!({"plant": "rapier"}), "plant \"analytic\" instead of \"rapier\""),
         (&|m| m.study = serde_json::json!({}), "a different study"),
+        (&|m| m.study = serde_json::json!({"plant": ["rapier"]}), "a different study (key plant)"),
         (&|m| m.columns.truncate(1), "different columns"),
     ] {
         let told = changed(change);

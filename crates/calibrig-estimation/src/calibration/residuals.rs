@@ -1,4 +1,4 @@
-//! Residuals of single readings against an estimate's predictions.
+//! Difference of every single reading from an estimate's prediction.
 
 use std::f64::consts::PI;
 
@@ -13,10 +13,10 @@ use calibrig_model::measurement::{MeasurementSet, Observation, Reading};
 pub struct ObservationResidual {
     /// In range (m), azimuth and elevation (rad), if the instrument read these.
     pub spherical: Option<Vector3<f64>>,
-    /// Root mean square of the three coordinates in standard deviations, with the covariance by which the fit weighs readings; `None` where there is
-    /// no such covariance.
+    /// Root mean square of its three coordinates in standard deviations, with the covariance by which the fit weighs readings; `None` without
+    /// one.
     pub standardised: Option<f64>,
-    /// Weight of the reading in the fit, from 1 down to 0; `None` where it was not fitted.
+    /// The reading's weight in the fit, from 1 down to 0; `None` if it was not fitted.
     pub weight: Option<f64>,
 }
 

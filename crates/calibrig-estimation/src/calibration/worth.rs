@@ -1,4 +1,5 @@
-//! Whether a compliance or term is worth identifying, by nested fits with and without it on held-out poses.
+//! Is a compliance or term worth identifying? Nested fits with and without it, evaluated on poses that neither has
+//! seen.
 
 use std::fmt;
 
@@ -19,18 +20,19 @@ const LEVEL: f64 = 0.95;
 /// Number of parts of the poses that are held out in turn, and the seed of their draw.
 const FOLDS: usize = 10;
 const SEED: u64 = 1;
-/// A loss below this share of the RMS, or of the noise assigned to the measurements, does not matter: nested fits differ by as much through their
-/// own noise.
+/// A loss below this share of the RMS, or of the measurements' assumed noise, is negligible: nested fits differ by as much through
+/// their own noise.
 const SMALL: f64 = 0.01;
 
-/// Parameters whose identification makes held-out poses worse than leaving the parameters at their prior means.
+/// Parameters whose identification makes predictions of poses that were not fitted worse than leaving them at their
+/// prior means.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Worse {
     /// Which parameters.
     pub parameters: Vec<ParameterId>,
-    /// How much smaller the RMS of held-out poses is with them identified, m: the whole interval is below zero.
+    /// Decrease of the RMS of held-out poses when they are identified, m: the whole interval is below zero.
     pub gain: Interval,
-    /// Whether even the interval's upper end is large enough to matter, so that the estimate must not be used without a second look.
+    /// Whether the whole interval is of consequence, so that the estimate must not be used without a second look.
     pub is_doubtful: bool,
 }
 
@@ -50,10 +52,10 @@ impl fmt::Display for Worse {
     }
 }
 
-/// Compliances and terms of an estimate whose identification does harm; `system` is the estimate's linearisation.
+/// Which compliances and terms of an estimate, linearised in `system`, are worse identified than left alone.
 ///
-/// The compliances are tested together, and so are the terms; single ones only where identifying them all is not clearly better. Linearised fits
-/// come first: what they find is fitted again before it is named.
+/// The compliances are tested all together, and so are the terms; single ones only if their identification is not clearly better.
+/// Linearised fits come first: their findings are fitted again before they are named.
 pub(super) fn worse(
     model: &CalibrationModel,
     set: &SetOutcome,
@@ -97,7 +99,7 @@ pub(super) fn worse(
     found
 }
 
-/// Columns that are tested together, and the parts of them that can be left out separately.
+/// Columns that are tested together, and what can be left out separately.
 struct Group {
     members: Vec<Vec<usize>>,
 }
@@ -108,7 +110,8 @@ impl Group {
     }
 }
 
-/// Groups to test: each compliance; the linkage, which is geometry and would hide terms beside it; the terms, family by family.
+/// The compliances, one by one; the linkage, which is geometry and would hide terms tested with it; the terms, family by
+/// family.
 fn groups(estimate: &Estimate) -> Vec<Group> {
     let ids = || estimate.parameters.iter().map(|parameter| parameter.id).enumerate();
     let compliances = ids().filter(|(_, id)| matches!(id, ParameterId::Compliance(_)));
@@ -131,7 +134,7 @@ fn groups(estimate: &Estimate) -> Vec<Group> {
         .collect()
 }
 
-/// Family of a parameter of the extended mode.
+/// In the extended mode.
 fn family(id: ParameterId) -> Option<&'static str> {
     match id {
         ParameterId::Linkage(_) => Some(LINKAGE),
@@ -140,7 +143,7 @@ fn family(id: ParameterId) -> Option<&'static str> {
     }
 }
 
-/// The gain of identifying `parameters` from actual fits, and the RMS with them; `None` where one of the fits fails.
+/// The gain of identifying `parameters` by actual fits, and the RMS with them; `None` if one of the fits fails.
 fn fitted_gain(
     model: &CalibrationModel,
     set: &MeasurementSet,
@@ -168,7 +171,7 @@ fn fitted_gain(
     Some((paired_by_pose(&without, &with, &poses, level)?, accuracy(&with)?.rms_3d))
 }
 
-/// Options that fit the parameters of `estimate` except some compliances and families of terms.
+/// The options that fit what `estimate` has, except for some compliances and families of terms.
 fn fitting(
     options: &IdentificationOptions,
     estimate: &Estimate,
