@@ -3,9 +3,9 @@
 
     python3 docs/figures.py [--slow] [--calibrig target/release/calibrig] [NAME ...]
 
-A row of docs/figures.md ends with its name, as <!-- name -->. Its command is the first one in it that stands in backquotes, and is run as it stands, with `calibrig`
-on the path. A row that takes minutes, or needs an idle machine, is measured only with --slow or by its name; else it keeps its value, and the date of that. Rows that are not in ROWS are
-written by hand. With CALIBRIG_DATA, rows on real measurements are measured as well. Python 3.9, without packages.
+A row of docs/figures.md ends with its name, as <!-- name -->. Its command is the first one in it that stands in backquotes, and is run as it stands, with
+`calibrig` on the path. A row that takes minutes is measured only with --slow or by its name; else it keeps its value and its date. Rows that are not in
+ROWS are written by hand. With CALIBRIG_DATA, rows on real measurements are measured as well. Python 3.9, without packages.
 """
 
 import argparse, datetime, json, os, re, subprocess, time
@@ -14,8 +14,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 PAGE, EXPERIMENT, OUT = ROOT / "docs/figures.md", ROOT / "docs/experiment.md", ROOT / "runs/figures"
 NUMBER = r"([-+\d.e]+)"
-RMS = r"Verification set.*?\nwithout calibration[^\n]* {n} +{n}\n.*?only calibration[^\n]* {n} +{n}\n.*?geometry and stiffness[^\n]* {n} +{n}\n".replace("{n}", NUMBER)
-RATIOS = r"{p} poses, axis 0: [^\n]*: {n}\n.*?axis 1: [^\n]*: {n}\n.*?axis 2: [^\n]*: {n}\n".replace("{n}", NUMBER)
+# The last two figures of each row of the verification set: RMS and largest error.
+TITLES = ("without calibration", "only calibration", "geometry and stiffness")
+RMS = "Verification set.*?" + ".*?".join(rf"\n{title}[^\n]* {NUMBER} +{NUMBER}(?=\n)" for title in TITLES)
+RATIOS = ".*?".join(rf"{{p}} poses, axis {axis}: [^\n]*: {NUMBER}\n" for axis in range(3))
 
 # Name: pattern of the output, whose groups go into the text, in their order; whether it is slow.
 ROWS = {
@@ -24,9 +26,13 @@ ROWS = {
         f"freedom {NUMBER}, band 1 \\+- {NUMBER}\n.*?of the 24 parameters: {NUMBER} to {NUMBER}",
         "chi-square per degree of freedom {}, 99.9 % band 1 ± {}; {} to {} of the intervals hold", True,
     ),
-    "floor": (RATIOS.replace("{p}", "60") + ".*?" + RATIOS.replace("{p}", "180"), "{}, {}, {} in x, y, z from 60 poses; {}, {}, {} from 180", True),
+    "floor": (
+        RATIOS.replace("{p}", "60") + ".*?" + RATIOS.replace("{p}", "180"),
+        "{}, {}, {} in x, y, z from 60 poses; {}, {}, {} from 180", True,
+    ),
     "matched": (
-        f"NEES per parameter {NUMBER}, inside its 99.9 % band {NUMBER} .. {NUMBER}; squared error over the bound at the truth {NUMBER} ± {NUMBER} a parameter; {NUMBER} %",
+        f"NEES per parameter {NUMBER}, inside its 99.9 % band {NUMBER} .. {NUMBER}; squared error over the bound at the truth {NUMBER} ± {NUMBER} "
+        f"a parameter; {NUMBER} %",
         "NEES per parameter {}, 99.9 % band {} to {}; squared error over the bound {} ± {}; {} % of true coordinates in their 95 % intervals", True,
     ),
     "acceptance": (
@@ -41,7 +47,10 @@ ROWS = {
     "replay": (r"Replay: (\d+) recorded estimates, (all identical bit for bit)", "{} estimates, {}", False),
     "ur5": (RMS, "RMS 3D {0} mm nominal, {2} geometric, {4} with stiffness; largest {1}, {3}, {5} mm", False),
     "wam": (RMS, "RMS 3D {0} mm nominal, {2} geometric, {4} with stiffness; largest {1}, {3}, {5} mm", False),
-    "splits": (r"UR5, 20 splits.*?geometric (\S+) mm, with stiffness (\S+) mm, (\S+) mm \[(\S+), (\S+)\] less", "{} mm geometric, {} mm with stiffness: {} mm less, 95 % interval {} to {}", True),
+    "splits": (
+        r"UR5, 20 splits.*?geometric (\S+) mm, with stiffness (\S+) mm, (\S+) mm \[(\S+), (\S+)\] less",
+        "{} mm geometric, {} mm with stiffness: {} mm less, 95 % interval {} to {}", True,
+    ),
 }
 
 
@@ -62,8 +71,12 @@ def run(command, binary):
 
 def rows_of_experiment(summary):
     """The table of docs/experiment.md from the summary of a campaign."""
-    published = {"without_calibration": ((5.7, 14.4, 6.3), (5.9, 13.9, 6.7)), "only_calibration": ((0.9, 0.6, 0.8), (1.0, 0.6, 1.1)), "with_gravity": ((0.7, 0.4, 0.7), (0.8, 0.5, 1.1))}
-    titles = {"without_calibration": "without calibration", "only_calibration": "only calibration", "with_gravity": "calibration considering gravity", "elasto_geometric": "geometry and stiffness", "extended": "extended"}
+    published = {
+        "without_calibration": ((5.7, 14.4, 6.3), (5.9, 13.9, 6.7)),
+        "only_calibration": ((0.9, 0.6, 0.8), (1.0, 0.6, 1.1)),
+        "with_gravity": ((0.7, 0.4, 0.7), (0.8, 0.5, 1.1)),
+    }
+    titles = {"with_gravity": "calibration considering gravity", "elasto_geometric": "geometry and stiffness"}
     lines = ["| row | identification x | y | z | verification x | y | z |", "| --- | --- | --- | --- | --- | --- | --- |"]
     for mode in summary["modes"]:
         cells = []
@@ -71,7 +84,7 @@ def rows_of_experiment(summary):
             for axis, mean in enumerate(mode["sets"][kind]["mean_m"]):
                 beside = published.get(mode["mode"])
                 cells.append(f"{1e3 * mean['mean']:.2f}" + (f" ({beside[place][axis]})" if beside else ""))
-        lines.append(f"| {titles[mode['mode']]} | " + " | ".join(cells) + " |")
+        lines.append(f"| {titles.get(mode['mode'], mode['mode'].replace('_', ' '))} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
@@ -85,6 +98,8 @@ def main():
     unknown = [name for name in arguments.names if name not in known]
     if unknown:
         raise SystemExit(f"no rows {', '.join(unknown)}: expected {', '.join(known)}")
+    # What an earlier run left would be in the way of campaigns.
+    subprocess.run(["rm", "-rf", OUT], check=True)
     for line in PAGE.read_text().split("\n"):
         name = re.search(r"<!-- (\w+) -->$", line)
         pattern, text, slow = ROWS.get(name[1], (None, "", True)) if name else (None, "", True)
@@ -105,7 +120,8 @@ def main():
         print(f"{name[1]}: {measured} ({time.monotonic() - began:.0f} s)")
     if "rows" in arguments.names or not arguments.names:
         run(f"calibrig montecarlo scenarios/paper.toml --trials 20 --out {OUT}/rows", arguments.calibrig)
-        made = f"<!-- rows -->\n{rows_of_experiment(json.loads((OUT / 'rows/summary.json').read_text()))}\n\nMeasured on {when()}.\n<!-- end of rows -->"
+        table = rows_of_experiment(json.loads((OUT / "rows/summary.json").read_text()))
+        made = f"<!-- rows -->\n{table}\n\nMeasured on {when()}.\n<!-- end of rows -->"
         EXPERIMENT.write_text(re.sub(r"<!-- rows -->.*?<!-- end of rows -->", lambda _: made, EXPERIMENT.read_text(), flags=re.S))
         print("rows: docs/experiment.md")
 
