@@ -1,18 +1,13 @@
 //! From a recording to files of text, and from measured sets to a recording.
 
-use std::collections::HashMap;
-use std::fs::File;
-use std::io::BufReader;
 use std::path::Path;
 
-use mcap::records::Record;
 use miette::Diagnostic;
 use prost::Message;
 use thiserror::Error;
 
 use super::file::write_whole;
-use super::mcap_reader::decode;
-use super::scan::{ReadError, scan};
+use super::messages::{decode, read_messages};
 use super::schema::{self, v1};
 use super::story::record_sets;
 use super::{McapRecorder, Preamble, Recording, RecordingError, read_recording};
@@ -138,7 +133,9 @@ pub fn export_csv(path: &Path, model: Option<Robot>) -> Result<CsvExport, Export
             .remarks
             .push(format!("the recording was cut short: {set}.csv has the {found} observations left"));
     }
-    let tables = tables(path)?;
+    // What was made of the measurements is not in what was read.
+    let mut tables = Tables::default();
+    read_messages(path, &mut |topic, schema, data| tables.message(topic, schema, data))?;
     for (name, table, what) in
         [("residuals.csv", tables.residuals, "residuals"), ("parameters.csv", tables.parameters, "estimates")]
     {
@@ -271,41 +268,6 @@ fn differing_reading(kind: SetKind, set: &MeasurementSet, read: &MeasurementSet)
 struct Tables {
     residuals: Option<String>,
     parameters: Option<String>,
-}
-
-/// Reads what [`read_recording`] leaves out. The file was checked by it.
-fn tables(path: &Path) -> Result<Tables, RecordingError> {
-    let unreadable = |source| RecordingError::Unreadable { path: path.to_path_buf(), source };
-    let mut file = BufReader::new(File::open(path).map_err(unreadable)?);
-    let mut tables = Tables::default();
-    let mut schemas: HashMap<u16, String> = HashMap::new();
-    let mut channels: HashMap<u16, (String, u16)> = HashMap::new();
-    let read = scan(&mut file, &mut |opcode, body| {
-        match mcap::parse_record(opcode, body)? {
-            Record::Schema { header, .. } => {
-                schemas.insert(header.id, header.name);
-            }
-            Record::Channel(channel) => {
-                channels.insert(channel.id, (channel.topic, channel.schema_id));
-            }
-            Record::Message { header, data } => {
-                let Some((topic, schema)) = channels.get(&header.channel_id) else { return Ok(()) };
-                let schema = schemas.get(schema).map_or("none", String::as_str);
-                tables.message(topic, schema, &data).map_err(|reason| RecordingError::InvalidMessage {
-                    topic: topic.clone(),
-                    sequence: header.sequence,
-                    reason,
-                })?;
-            }
-            _ => {}
-        }
-        Ok(())
-    });
-    match read {
-        Ok(()) => Ok(tables),
-        Err(ReadError::Io(source)) => Err(unreadable(source)),
-        Err(ReadError::Recording(error)) => Err(error),
-    }
 }
 
 impl Tables {

@@ -34,12 +34,16 @@ mod exchange;
 mod figures;
 mod file;
 mod foxglove_scene;
+mod health;
 mod inspect;
+mod inspection;
 mod live;
 mod machine;
 mod mcap_reader;
 mod mcap_writer;
+mod messages;
 mod provenance;
+mod records;
 mod recover;
 #[cfg(feature = "rerun")]
 mod rerun_analysis;
@@ -55,7 +59,6 @@ mod rerun_scene;
 mod rerun_sink;
 #[cfg(feature = "rerun")]
 mod rerun_views;
-mod scan;
 mod scene;
 pub mod schema;
 mod story;
@@ -65,15 +68,16 @@ mod synthetic;
 #[cfg(feature = "rerun")]
 mod tables;
 mod truth;
-mod walk;
 
 pub use carried::CarriedReport;
 pub use error::RecordingError;
 pub use exchange::{CsvExport, ExportError, ExportedFile, export_csv, write_sets};
 pub use file::UnfinishedFile;
-pub use inspect::{
-    AttachmentReport, EstimateReport, Health, INSPECT_SCHEMA, Inspection, NotReplayed, Progress,
-    ProvenanceReport, ProvenanceState, Recoverable, SetReport, State, TopicReport, inspect,
+pub use health::{Fault, FaultyPart, Health, State};
+pub use inspect::{Progress, inspect};
+pub use inspection::{
+    AttachmentReport, EstimateReport, INSPECT_SCHEMA, Inspection, NotReplayed, ProvenanceReport,
+    ProvenanceState, Recoverable, SetReport, TopicReport,
 };
 pub use live::SessionRecorder;
 pub use machine::{RecordedMachine, read_recorded_machine};
@@ -83,18 +87,17 @@ pub use mcap_reader::{
 };
 pub use mcap_writer::{McapRecorder, write_mcap};
 pub use provenance::{Provenance, SCHEMA};
+pub use records::Unprotected;
 pub use recover::{Recovered, recover};
 #[cfg(feature = "rerun")]
 pub use rerun_live::{LiveRecorder, VIEWER_URL, Viewer, viewer_url};
 #[cfg(feature = "rerun")]
 pub use rerun_sink::{RerunRecorder, rrd_of, save_rrd, write_rrd};
-pub use scan::Unprotected;
 pub use scene::{Chain, ChainKind, Sighting};
 pub use story::{
     InputSummary, LogEntry, LogLevel, Measured, PoseStep, Preamble, Recorder, Residuals, Story, TrueSetting,
     record, record_evaluation,
 };
-pub use walk::{Fault, Part};
 
 /// How much longer than life residual arrows are drawn.
 pub const RESIDUAL_SCALE: f64 = 100.0;

@@ -2,15 +2,14 @@
 
 mod contents;
 
-use std::fs::File;
-use std::io::{BufReader, Read, Seek};
+use std::io::{Read, Seek};
 use std::path::Path;
 
 use nalgebra::Vector3;
-use prost::{Message, Name};
 
 use self::contents::Contents;
-use super::scan::{ReadError, Unprotected, check_integrity, check_magic, scan};
+use super::messages::lies_below;
+use super::records::{ReadError, Unprotected, read_records, with_file};
 use super::{Provenance, RecordingError};
 use calibrig_files::{InputError, Source};
 use calibrig_files::{Robot, parse_robot};
@@ -103,6 +102,13 @@ pub struct ReadOptions {
     pub dropped_topics: Vec<String>,
 }
 
+impl ReadOptions {
+    /// Whether the messages on `topic` are left out.
+    fn drop(&self, topic: &str) -> bool {
+        self.dropped_topics.iter().any(|dropped| lies_below(topic, dropped))
+    }
+}
+
 /// Reads the recording at `path`. Where messages are under a checksum, as in all that calibrig writes, what is returned is what was written;
 /// what is under none is told ([`Recording::unprotected`]).
 ///
@@ -115,30 +121,16 @@ pub fn read_recording(path: &Path) -> Result<Recording, RecordingError> {
 
 /// The same without some of it. A topic that is dropped must be there.
 pub fn read_recording_with(path: &Path, options: &ReadOptions) -> Result<Recording, RecordingError> {
-    let unreadable = |source| RecordingError::Unreadable { path: path.to_path_buf(), source };
-    let mut file = BufReader::new(File::open(path).map_err(unreadable)?);
-    read_from(&mut file, options).map_err(|error| match error {
-        ReadError::Io(source) => unreadable(source),
-        ReadError::Recording(error) => error,
-    })
+    with_file(path, |file| read_from(file, options))
 }
 
 pub(super) fn read_from(
     file: &mut (impl Read + Seek),
     options: &ReadOptions,
 ) -> Result<Recording, ReadError> {
-    check_magic(file)?;
-    let unprotected = check_integrity(file)?;
     let mut contents = Contents::new(options);
-    scan(file, &mut |opcode, body| contents.record(opcode, body))?;
+    let unprotected = read_records(file, &mut |record| Ok(contents.record(record)?))?;
     Ok(Recording { unprotected, ..contents.finish()? })
-}
-
-pub(super) fn decode<M: Message + Name + Default>(schema: &str, data: &[u8]) -> Result<M, String> {
-    if schema != M::full_name() {
-        return Err(format!("its schema is {schema}, {} was expected", M::full_name()));
-    }
-    M::decode(data).map_err(|e| e.to_string())
 }
 
 #[cfg(test)]

@@ -10,11 +10,12 @@ use sha2::{Digest, Sha256};
 
 use super::directory::{Definitions, Directory};
 use super::file::write_whole;
-use super::inspect::{Inspection, PASSES, Progress, ProvenanceState, State, Watched, inspect_file};
+use super::health::{FaultyPart, State};
+use super::inspect::{PASSES, Progress, Watched, inspect_file};
+use super::inspection::{Inspection, ProvenanceState};
 use super::mcap_writer::writer;
 use super::provenance::{ALTERED, METADATA, RECOVERED, hex};
-use super::scan::ReadError;
-use super::walk::{Part, walk};
+use super::records::{ReadError, walk};
 use super::{Provenance, RecordingError};
 
 /// What became of a file that was to be saved.
@@ -37,16 +38,12 @@ pub fn recover(
     force: bool,
     progress: &mut Progress<'_>,
 ) -> Result<Recovered, RecordingError> {
-    let unreadable = |source| RecordingError::Unreadable { path: bad.to_path_buf(), source };
+    let unreadable = |error: std::io::Error| ReadError::Io(error).of(bad);
     // Reading, then hashing and copying.
     let mut file = Watched::open(bad, PASSES + 2, progress).map_err(unreadable)?;
     check_target(bad, good, force)?;
     let name = bad.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-    let told = |error| match error {
-        ReadError::Io(source) => unreadable(source),
-        ReadError::Recording(error) => error,
-    };
-    let inspection = inspect_file(&mut file, name).map_err(told)?;
+    let inspection = inspect_file(&mut file, name).map_err(|error| error.of(bad))?;
     let copied = inspection.health.state == State::Whole;
     if copied {
         write_whole(good, |mut sink| {
@@ -56,12 +53,12 @@ pub fn recover(
         })?;
     } else if inspection.recoverable.messages == 0 {
         let (bytes, unread) = (inspection.bytes, inspection.health.bytes_unread);
-        let opaque = inspection.health.faults.iter().find(|fault| fault.part == Part::OpaqueChunk);
+        let opaque = inspection.health.faults.iter().find(|fault| fault.part == FaultyPart::OpaqueChunk);
         let why = opaque.map(|fault| fault.reason.clone());
         return Err(RecordingError::NothingToRecover { path: bad.to_path_buf(), bytes, unread, why });
     } else {
         let sha256 = sha256(&mut file).map_err(unreadable)?;
-        write_whole(good, |sink| save(&mut file, &inspection, sha256, sink).map_err(told))?;
+        write_whole(good, |sink| save(&mut file, &inspection, sha256, sink).map_err(|e| e.of(bad)))?;
     }
     Ok(Recovered { inspection, copied })
 }
@@ -112,7 +109,7 @@ pub(super) fn save<W: Write + Seek>(
         messages: 0,
     };
     copy.metadata(&note(inspection, sha256))?;
-    walk(file, &directory, inspection.sound, &mut |_, record| Ok(copy.record(record)?))?;
+    walk(file, &directory, inspection.trust, &mut |_, record| Ok(copy.record(record)?))?;
     if copy.messages != inspection.recoverable.messages {
         return Err(std::io::Error::other("it changed while it was read").into());
     }
@@ -129,7 +126,7 @@ fn note(inspection: &Inspection, sha256: String) -> Metadata {
         ("file", inspection.file.clone()),
         ("sha256", sha256),
         ("messages", inspection.recoverable.messages.to_string()),
-        ("chunks_lost", (count(Part::Chunk) + count(Part::OpaqueChunk)).to_string()),
+        ("chunks_lost", (count(FaultyPart::Chunk) + count(FaultyPart::OpaqueChunk)).to_string()),
         ("bytes_unread", inspection.health.bytes_unread.to_string()),
     ];
     let metadata = entries.map(|(key, value)| (key.to_owned(), value)).into();
