@@ -1,4 +1,4 @@
-//! What the summary section at the end of an MCAP file tells of the rest, where it is there and sound.
+//! What the summary section at the end of an MCAP file says about the rest of the file, if that section is complete and sound.
 
 use std::collections::{BTreeMap, HashMap};
 use std::io::{Read, Seek, SeekFrom};
@@ -29,7 +29,7 @@ pub(super) struct Definitions {
 }
 
 impl Definitions {
-    /// Takes note of a schema or a channel.
+    /// Remembers a schema or a channel.
     pub(super) fn learn(&mut self, record: Record<'_>) {
         match record {
             Record::Schema { header, data } => {
@@ -59,10 +59,10 @@ impl Definitions {
     }
 }
 
-/// What the summary section tells.
+/// The contents of the summary section.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Directory {
-    /// Of the whole file: those of a lost chunk, too.
+    /// Of the whole file, lost chunks included.
     pub definitions: Definitions,
     /// Where chunks, attachments, metadata and the end of the data begin, in ascending order.
     landmarks: Vec<u64>,
@@ -73,10 +73,10 @@ pub(super) struct Directory {
 }
 
 impl Directory {
-    /// Reads the summary section of `file`; nothing where it is not there, damaged, or without a checksum.
+    /// Reads the summary section of `file`; empty if it is missing, damaged, or without a checksum.
     pub(super) fn of(file: &mut (impl Read + Seek)) -> std::io::Result<Self> {
         let Some(data_end) = data_end(file)? else { return Ok(Self::default()) };
-        // The checksum begins behind the end of the data.
+        // The checksum covers what follows the end of the data.
         file.seek(SeekFrom::Start(data_end))?;
         let mut directory = Self { landmarks: vec![data_end], data_end: Some(data_end), ..Self::default() };
         let mut ends = (false, false);

@@ -12,13 +12,13 @@ use super::provenance::RECOVERED;
 use super::records::{End, ReadError, Trust, Walked, Whole, check_whole, walk};
 use super::survey::Survey;
 
-/// Is told how many bytes of how many are behind.
+/// Is told how many bytes are done, and of how many.
 pub type Progress<'a> = dyn FnMut(u64, u64) + 'a;
 
-/// Looks through the file at `path`. `progress` is told how far.
+/// Looks through the file at `path`. `progress` is told how far it has come.
 ///
 /// # Errors
-/// The file cannot be read, or is no MCAP file.
+/// The file cannot be read, or is not an MCAP file.
 pub fn inspect(path: &Path, progress: &mut Progress<'_>) -> Result<Inspection, RecordingError> {
     let name = path.file_name().map(|name| name.to_string_lossy().into_owned());
     let opened = Watched::open(path, PASSES, progress).map_err(ReadError::Io);
@@ -77,7 +77,7 @@ pub(super) fn inspect_file(file: &mut (impl Read + Seek), name: String) -> Resul
 /// The health of a file as a walk and the checksums over its sections say; metadata that do not fit their hash are at `altered_at`.
 fn judged(walked: Walked, whole: &Whole, altered_at: Option<u64>) -> Health {
     let Walked { health: found, end, .. } = walked;
-    // Other records may stand in a file whose checksums fit; what they are is not known here.
+    // A file whose checksums fit may hold records of kinds that are unknown here.
     let harmless = |part: &FaultyPart| matches!(part, FaultyPart::Record | FaultyPart::OpaqueChunk);
     let tail = usize::from(matches!(end, End::Begun | End::Within));
     let faults: u64 = found.lost.values().sum();
@@ -103,7 +103,7 @@ fn judged(walked: Walked, whole: &Whole, altered_at: Option<u64>) -> Health {
     }
 }
 
-/// A file that tells how much of it was read.
+/// A file that reports how much of it was read.
 pub(super) struct Watched<'a> {
     file: File,
     done: u64,
@@ -121,7 +121,7 @@ impl<'a> Watched<'a> {
         let file = File::open(path)?;
         let metadata = file.metadata()?;
         if metadata.is_dir() {
-            // Its length makes no sense.
+            // A folder can be opened, but its length means nothing.
             return Err(std::io::ErrorKind::IsADirectory.into());
         }
         let total = metadata.len().saturating_mul(passes);

@@ -21,21 +21,21 @@ pub struct Inspection {
     pub file: String,
     /// Its length, bytes.
     pub bytes: u64,
-    /// Whether the program or one of its messages made it.
+    /// Whether calibrig wrote it, or another program with calibrig's messages.
     pub calibrig: bool,
-    /// Whether `recover` made it of a damaged or unfinished one.
+    /// Whether `recover` saved it from a damaged or unfinished one.
     pub recovered: bool,
-    /// What it says of the program that wrote it.
+    /// The program that wrote it, as it states itself.
     pub library: String,
     /// How sound it is.
     pub health: Health,
     /// What `recover` would save.
     pub recoverable: Recoverable,
-    /// Where it comes from, if it says so.
+    /// Its origin, if it states one.
     pub provenance: Option<ProvenanceReport>,
     /// What was measured.
     pub sets: Vec<SetReport>,
-    /// What was made of it.
+    /// The recorded estimates.
     pub estimates: Vec<EstimateReport>,
     /// Topics by name.
     pub topics: Vec<TopicReport>,
@@ -51,8 +51,8 @@ pub struct Inspection {
 }
 
 impl Inspection {
-    /// Why [`read_recording`](crate::read_recording) would find nothing to replay in the file, if it was `copied` as it is, or else in what
-    /// is saved of it; `None` where it reads it.
+    /// Why [`read_recording`](crate::read_recording) would refuse the file itself (`copied`), or else what is saved from it; `None` if it can be
+    /// replayed.
     pub fn not_replayed(&self, copied: bool) -> Option<NotReplayed> {
         let fitted = self.sets.iter().find(|set| set.set == SetKind::Identification.key());
         let opaque = self.health.faults.iter().find(|fault| fault.part == FaultyPart::OpaqueChunk);
@@ -72,11 +72,11 @@ impl Inspection {
 /// Why a file cannot be replayed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum NotReplayed {
-    /// Its messages, or some, are compressed in a way that is not read: how, in words.
+    /// Some or all messages are in a compression that is not read: which, in words.
     OpaqueChunks(String),
-    /// It is not calibrig's.
+    /// It is not a calibrig recording.
     Foreign,
-    /// A later version wrote it: which.
+    /// This later version wrote it.
     Newer(String),
     /// It holds no observation to fit.
     NothingMeasured,
@@ -89,16 +89,16 @@ pub enum NotReplayed {
 pub struct Recoverable {
     /// Messages.
     pub messages: u64,
-    /// Messages that are lost, where the file says how many there were.
+    /// Lost messages, if the file states how many there were.
     pub messages_lost: Option<u64>,
     /// Whether anything is lost, messages or not.
     pub anything_lost: bool,
 }
 
-/// Where a recording comes from, as it says.
+/// The origin of a recording, as it states itself.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct ProvenanceReport {
-    /// Whether that fits the recording's own hash.
+    /// Whether it fits the recording's own hash.
     pub state: ProvenanceState,
     /// Why it does not.
     pub problem: Option<String>,
@@ -106,7 +106,7 @@ pub struct ProvenanceReport {
     pub schema: String,
     /// The program.
     pub software: String,
-    /// Number of the method that made its estimates; 1 where it is not stated, `None` where it is no number.
+    /// Number of the method that made its estimates: 1 if the recording does not state one, `None` if it states something else than a number.
     pub method: Option<u32>,
     /// `scenario`, `files` or `recording`.
     pub input_kind: String,
@@ -124,13 +124,13 @@ pub struct ProvenanceReport {
     pub provenance_sha256: String,
 }
 
-/// Whether what a recording says of itself can be believed.
+/// Whether the stated origin of a recording can be trusted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ProvenanceState {
     /// The hash fits.
     Fits,
-    /// A later version of calibrig knows.
+    /// A later version wrote it, and this one cannot check it.
     Newer,
     /// The hash does not fit, or something is missing.
     Altered,
@@ -141,17 +141,17 @@ pub enum ProvenanceState {
 pub struct SetReport {
     /// Key of the set.
     pub set: &'static str,
-    /// Whether its session, with stations and targets, is there: no observation can be used without.
+    /// Whether its session, with stations and targets, is in the file: without it no observation can be used.
     pub described: bool,
     /// Whether all of its observations are there.
     pub complete: bool,
-    /// Poses that were to be measured, where known.
+    /// Poses that were planned, if known.
     pub planned: Option<u32>,
     /// Poses measured.
     pub poses: u64,
     /// Observations.
     pub observations: u64,
-    /// Observations that there were, where known.
+    /// Observations that were made, if known.
     pub expected: Option<u32>,
     /// Poses dropped.
     pub dropped: u64,
@@ -165,7 +165,7 @@ pub struct SetReport {
     pub full_poses: u64,
     /// Of the observations, those of the back face.
     pub back_face: u64,
-    /// What the flange carried, in the order of the first poses; empty where it never carried anything.
+    /// What the flange carried, in order of first use; empty if it never carried anything.
     pub payloads: Vec<CarriedReport>,
 }
 
@@ -197,7 +197,7 @@ pub struct TopicReport {
     pub encoding: String,
     /// Messages that can be read.
     pub messages: u64,
-    /// Messages that cannot, where the file says how many there were.
+    /// Messages that cannot be read, if the file states how many there were.
     pub lost: Option<u64>,
     /// Length of the messages, bytes.
     pub bytes: u64,

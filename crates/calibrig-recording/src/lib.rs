@@ -1,20 +1,20 @@
-//! Recordings of a run: for viewers, and as the only thing that a replay needs.
+//! Recordings of a run: for viewers, and for a replay, which needs nothing else.
 //!
-//! A [`Recorder`] is told a run in two parts: the session while it is measured ([`SessionRecorder`]), then what was made of it, pose by
-//! pose ([`record_evaluation`]). [`record`] tells both of a finished [`Story`]: every sink holds the same story.
-//! There are two: MCAP ([`McapRecorder`]), which Foxglove and Rerun open and [`read_recording`] reads back without loss, and, with the
+//! A [`Recorder`] is told about a run in two parts: the session while it is measured ([`SessionRecorder`]), then its evaluation, pose by
+//! pose ([`record_evaluation`]). [`record`] tells both of a finished [`Story`], so that every recording holds the same.
+//! There are two kinds: MCAP ([`McapRecorder`]), which Foxglove and Rerun open and [`read_recording`] reads back without loss, and, with the
 //! feature `rerun`, Rerun's own format with a layout of its views (`write_rrd`).
 //!
 //! Times are simulated: the observations' own where they increase, else one second a pose. The same story gives the same bytes of MCAP.
 //!
-//! Not in here: what is made of measurements (`calibrig-estimation`), and the simulated machine itself (`calibrig-plant`); both are only shown.
+//! Estimation (`calibrig-estimation`) and the simulated machine (`calibrig-plant`) are not part of this crate: it only shows their results.
 //!
 //! ```
 //! use std::path::Path;
 //!
 //! use calibrig_recording::read_recording;
 //!
-//! // From a disk, whole: every chunk has its checksum, and every input file lies in it with its hash.
+//! // Every chunk is checked against its checksum, and every attached input file against the hash over all of them.
 //! let recording = read_recording(Path::new("../../recordings/paper.mcap"))?;
 //! for set in &recording.sets {
 //!     println!("{}: {} observations", set.kind.key(), set.measurements.observations.len());
@@ -50,6 +50,8 @@ mod rerun_analysis;
 #[cfg(feature = "rerun")]
 mod rerun_columns;
 #[cfg(feature = "rerun")]
+mod rerun_entities;
+#[cfg(feature = "rerun")]
 mod rerun_layout;
 #[cfg(feature = "rerun")]
 mod rerun_live;
@@ -59,11 +61,14 @@ mod rerun_scene;
 mod rerun_sink;
 #[cfg(feature = "rerun")]
 mod rerun_views;
+#[cfg(feature = "rerun")]
+mod rerun_writer;
 mod scene;
 pub mod schema;
 mod story;
 mod survey;
 #[cfg(test)]
+#[path = "tests/synthetic.rs"]
 mod synthetic;
 #[cfg(feature = "rerun")]
 mod tables;
@@ -71,7 +76,7 @@ mod truth;
 
 pub use carried::CarriedReport;
 pub use error::RecordingError;
-pub use exchange::{CsvExport, ExportError, ExportedFile, export_csv, write_sets};
+pub use exchange::{CsvExport, ExportError, export_csv, write_sets};
 pub use file::UnfinishedFile;
 pub use health::{Fault, FaultyPart, Health, State};
 pub use inspect::{Progress, inspect};
@@ -99,7 +104,7 @@ pub use story::{
     record, record_evaluation,
 };
 
-/// How much longer than life residual arrows are drawn.
+/// How many times residual arrows are enlarged.
 pub const RESIDUAL_SCALE: f64 = 100.0;
-/// How much longer than life deflections under load are drawn.
+/// How many times deflections under load are enlarged.
 pub const DEFLECTION_SCALE: f64 = 100.0;

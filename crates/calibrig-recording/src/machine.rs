@@ -1,4 +1,4 @@
-//! The recorded machine, for reports alone: what identifies never looks here.
+//! The recorded machine, for reports only: identification never reads it.
 
 use std::path::Path;
 

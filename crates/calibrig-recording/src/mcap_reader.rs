@@ -1,4 +1,4 @@
-//! Reads a recording back: whole and as written, or not at all. What is recorded of the truth is never looked at.
+//! Reads a recording back: completely and as it was written, or not at all. The recorded truth of a simulation is never read.
 
 mod contents;
 
@@ -16,30 +16,30 @@ use calibrig_files::{Robot, parse_robot};
 use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::{SetKind, SetOutcome};
 
-/// A recording, as far as a replay needs it.
+/// What a replay needs of a recording.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recording {
-    /// Where it comes from; `None` where another program recorded it.
+    /// Where it comes from; `None` if another program recorded it.
     pub provenance: Option<Provenance>,
     /// The input files by role, named without their folder.
     pub sources: Vec<(String, Source)>,
-    /// What was measured; the identification set first, and never without an observation.
+    /// What was measured: the identification set first, with at least one observation.
     pub sets: Vec<SetOutcome>,
-    /// What of the session is not there: a recording that was cut short.
+    /// What is missing from the session, in a recording that was cut short.
     pub missing: Vec<MissingPart>,
-    /// Whether it is what `recover` saved of a damaged file.
+    /// Whether `recover` saved it from a damaged file.
     pub recovered: bool,
-    /// What of the file is under no checksum.
+    /// What in the file no checksum covers.
     pub unprotected: Unprotected,
-    /// What was made of it then, by mode.
+    /// The recorded estimates, by mode.
     pub estimates: Vec<RecordedEstimate>,
 }
 
 impl Recording {
-    /// The robot that it holds, if any.
+    /// The robot in it, if there is one.
     pub fn robot(&self) -> Result<Option<Robot>, InputError> {
         let Some(robot) = self.source("robot") else { return Ok(None) };
-        // A map that was given beside the robot is no part of it.
+        // A column map that was given separately does not belong to the robot.
         let named = |key: &str| self.source(key).filter(|_| !robot.place_of(key).is_empty()).cloned();
         parse_robot(robot.clone(), named("urdf"), named("columns")).map(Some)
     }
@@ -50,14 +50,14 @@ impl Recording {
     }
 }
 
-/// A set that was not recorded to its end.
+/// A set that was not recorded to the end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MissingPart {
     /// The set.
     pub kind: SetKind,
-    /// Observations that are there.
+    /// Number of observations in the file.
     pub found: usize,
-    /// Observations that were made, or at least poses that were to be measured; `None` where the file does not say.
+    /// Number of observations that were made, or else of poses that were planned; `None` if the file states neither.
     pub expected: Option<usize>,
 }
 
@@ -95,10 +95,10 @@ pub struct RecordedParameter {
     pub sigma: Option<f64>,
 }
 
-/// What of a recording is read.
+/// Which parts of a recording are read.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct ReadOptions {
-    /// Topics that are left out, each with all below it: `/nest`, `/measurement/verification`.
+    /// Topics to leave out, each with everything below it: `/nest`, `/measurement/verification`.
     pub dropped_topics: Vec<String>,
 }
 
@@ -109,8 +109,8 @@ impl ReadOptions {
     }
 }
 
-/// Reads the recording at `path`. Where messages are under a checksum, as in all that calibrig writes, what is returned is what was written;
-/// what is under none is told ([`Recording::unprotected`]).
+/// Reads the recording at `path`. Messages under a checksum, as in every file of calibrig, are returned exactly as they were written;
+/// [`Recording::unprotected`] counts those without.
 ///
 /// # Errors
 /// The file is not an MCAP file, breaks off, is damaged, was written by another program or a later version, or lacks input files or
@@ -119,7 +119,7 @@ pub fn read_recording(path: &Path) -> Result<Recording, RecordingError> {
     read_recording_with(path, &ReadOptions::default())
 }
 
-/// The same without some of it. A topic that is dropped must be there.
+/// The same, without the topics that `options` leaves out. Each of them must exist.
 pub fn read_recording_with(path: &Path, options: &ReadOptions) -> Result<Recording, RecordingError> {
     with_file(path, |file| read_from(file, options))
 }

@@ -91,7 +91,7 @@ impl Unprotected {
     }
 }
 
-/// Passes every record of a sound file to `visit`, those in chunks too, with all checksums validated that are there. In MCAP a checksum of
+/// Passes every record of a sound file to `visit`, those in chunks too, and validates every checksum in the file. In MCAP a checksum of
 /// zero says that there is none.
 pub(super) fn read_records(
     file: &mut (impl Read + Seek),
@@ -112,9 +112,9 @@ pub(super) fn read_records(
 
 /// What a file's framing and the checksums over its two sections say.
 pub(super) struct Whole {
-    /// `None` if the file consists of records to its end, and these checksums fit.
+    /// What is wrong; `None` if the file is a sequence of records up to its end, and both checksums fit.
     pub trouble: Option<RecordingError>,
-    /// Whether the data section has a checksum; `None` if the file does not come so far.
+    /// Whether the data section has a checksum; `None` if the file ends before it.
     pub data: Option<bool>,
     /// The same for the summary.
     pub summary: Option<bool>,
@@ -127,7 +127,7 @@ impl Whole {
     }
 }
 
-/// Reads a file from its start to its end without a look into its chunks.
+/// Reads a file from start to end, without opening its chunks.
 pub(super) fn check_whole(file: &mut (impl Read + Seek)) -> Result<Whole, ReadError> {
     file.seek(SeekFrom::Start(0))?;
     let mut start = Vec::new();
@@ -184,11 +184,11 @@ pub(super) fn pull(
 /// How far a walk trusts what it reads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Trust {
-    /// The file is damaged: any record may be another than it seems.
+    /// The file is damaged: even the kind of a record may be wrong.
     Little,
     /// A checksum over the whole data section fits.
     Data,
-    /// The file is to be sound: what is not ends the walk with an error.
+    /// The file must be sound: the first fault ends the walk with an error.
     All,
 }
 
@@ -207,7 +207,7 @@ pub(super) enum End {
     Lost,
 }
 
-/// What a walk came upon.
+/// What a walk found.
 #[derive(Debug)]
 pub(super) struct Walked {
     /// Without its `state`, and without the checksums over the sections.

@@ -1,4 +1,4 @@
-//! Saves what is sound of a damaged or unfinished file into a new, whole one.
+//! Saves the sound parts of a damaged or unfinished file into a new, complete one.
 
 use std::collections::HashMap;
 use std::io::{Read, Seek, SeekFrom, Write};
@@ -18,20 +18,20 @@ use super::provenance::{ALTERED, METADATA, RECOVERED, hex};
 use super::records::{ReadError, walk};
 use super::{Provenance, RecordingError};
 
-/// What became of a file that was to be saved.
+/// The outcome of saving a file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recovered {
     /// What was found in it.
     pub inspection: Inspection,
-    /// Nothing was wrong with it: the new file is a copy.
+    /// Whether nothing was wrong with it and the new file is a copy.
     pub copied: bool,
 }
 
-/// Saves all that is sound of `bad` into the new file `good`, which is whole or not there. `progress` is told how far.
+/// Saves the sound parts of `bad` into the new file `good`, which is either complete or not written. `progress` is told how far it has come.
 ///
 /// # Errors
-/// `bad` cannot be read, is no MCAP file, or holds no message that can be read; `good` is `bad`, is there and not to be written over
-/// (`force`), or cannot be written.
+/// `bad` cannot be read, is not an MCAP file, or holds no readable message; `good` is the same file as `bad`, exists (without `force`), or
+/// cannot be written.
 pub fn recover(
     bad: &Path,
     good: &Path,
@@ -72,7 +72,7 @@ fn check_target(bad: &Path, good: &Path, force: bool) -> Result<(), RecordingErr
     if good.is_dir() {
         return Err(RecordingError::IsFolder { path });
     }
-    // A link that leads nowhere is in the way, too.
+    // A broken symbolic link counts as existing, too.
     if !force && good.symlink_metadata().is_ok() {
         return Err(RecordingError::Exists { path });
     }
@@ -118,7 +118,7 @@ pub(super) fn save<W: Write + Seek>(
     Ok(())
 }
 
-/// What a saved file says of itself.
+/// The metadata record that marks a saved file.
 fn note(inspection: &Inspection, sha256: String) -> Metadata {
     let count = |part| inspection.health.lost.get(&part).copied().unwrap_or(0);
     let entries = [
@@ -139,7 +139,7 @@ struct Copy<W: Write + Seek> {
     definitions: Definitions,
     /// Channels of the new file by those of the old one.
     channels: HashMap<u16, u16>,
-    /// Whether the metadata of ours do not fit their hash.
+    /// Whether calibrig's metadata record does not fit its hash.
     altered: bool,
     messages: u64,
 }
@@ -148,7 +148,7 @@ impl<W: Write + Seek> Copy<W> {
     fn record(&mut self, record: Record<'_>) -> Result<(), RecordingError> {
         match record {
             Record::Metadata(mut metadata) => {
-                // Under its own name the reader would believe it, or refuse the file for it.
+                // Under the original name the reader would refuse the file.
                 if self.altered && metadata.name == METADATA {
                     ALTERED.clone_into(&mut metadata.name);
                 }
@@ -191,7 +191,7 @@ impl<W: Write + Seek> Copy<W> {
             .map_err(RecordingError::unwritten)
     }
 
-    /// The new number of a channel; `None` where nobody describes it.
+    /// The new number of a channel; `None` if the file does not describe the channel.
     fn channel(&mut self, id: u16) -> Result<Option<u16>, RecordingError> {
         if let Some(&known) = self.channels.get(&id) {
             return Ok(Some(known));

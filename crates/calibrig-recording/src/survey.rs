@@ -1,4 +1,4 @@
-//! What the records of a file hold, counted as they come.
+//! Counts what the records of a file hold.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -18,15 +18,15 @@ use super::schema::{set_kind, to_payload, v1};
 use super::{Provenance, RecordingError};
 use calibrig_model::measurement::SetKind;
 
-/// What has been seen of a file.
+/// What has been counted so far.
 pub(super) struct Survey {
     pub profile: String,
     pub library: String,
     definitions: Definitions,
     tallies: HashMap<u16, Tally>,
-    /// Messages whose channel nobody describes.
+    /// Messages on channels that the file does not describe.
     pub nameless: u64,
-    /// The first metadata record of ours, and where it is.
+    /// Calibrig's first metadata record, and its place in the file.
     metadata: Option<(u64, BTreeMap<String, String>)>,
     pub metadata_names: Vec<String>,
     inputs: Vec<AttachedInput>,
@@ -42,7 +42,7 @@ struct Tally {
     bytes: u64,
     first: u64,
     last: u64,
-    /// Where the messages tell of sets or estimates.
+    /// For messages about sets or estimates.
     decoder: Option<Decoder>,
 }
 
@@ -128,7 +128,7 @@ impl Survey {
                     bytes: bytes as u64,
                     checksum: crc != 0,
                 });
-                // Input files are short: others are not kept in memory for a hash that they do not belong to.
+                // Input files are short: long attachments do not belong to the hash and are not kept in memory.
                 self.input_bytes = self.input_bytes.saturating_add(bytes);
                 if self.input_bytes <= RECORD_LIMIT {
                     self.inputs.push((header.name, String::from_utf8_lossy(&data).into_owned()));
@@ -155,7 +155,7 @@ impl Survey {
         tally.bytes += data.len() as u64;
         tally.first = tally.first.min(header.log_time);
         tally.last = tally.last.max(header.log_time);
-        // What cannot be decoded is for the reader to refuse.
+        // A message that cannot be decoded is counted; the reader refuses it.
         if let Some(Ok(own)) = tally.decoder.map(|decode| decode(data)) {
             let _ = self.own(own);
         }
@@ -204,7 +204,7 @@ impl Survey {
             || self.definitions.schemas.values().any(|schema| schema.header.name.starts_with(&own))
     }
 
-    /// What the file says of where it comes from; and where that stands, if it was altered.
+    /// What the file says about its origin; and where in the file that stands, if it was altered.
     pub(super) fn provenance(&self) -> (Option<ProvenanceReport>, Option<u64>) {
         let Some((at, metadata)) = &self.metadata else { return (None, None) };
         let report = ProvenanceReport::of(metadata, &self.inputs);
@@ -216,7 +216,7 @@ impl Survey {
         self.sets.values().map(SetTally::report).collect()
     }
 
-    /// Topics by name: those that the summary alone knows, too.
+    /// Topics by name, with those that only the summary knows.
     pub(super) fn topics(&self, directory: &Directory) -> Vec<TopicReport> {
         let mut topics: BTreeMap<(&str, &str), TopicReport> = BTreeMap::new();
         for (id, channel) in &self.definitions.channels {

@@ -1,4 +1,4 @@
-//! What a recording is made of, as its records come by.
+//! Collects the contents of a recording, record by record.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -23,7 +23,7 @@ pub(super) struct Contents<'a> {
     definitions: Definitions,
     sets: Vec<SetInProgress>,
     estimates: Vec<RecordedEstimate>,
-    /// Sets whose description was lost from a damaged file: what is left of them cannot be placed.
+    /// Sets whose session was lost from a damaged file: without stations and targets, their observations cannot be used.
     lost: BTreeSet<SetKind>,
 }
 
@@ -55,7 +55,7 @@ impl<'a> Contents<'a> {
             }
             Record::Metadata(metadata) => self.recovered |= metadata.name == RECOVERED,
             Record::Attachment { header, data, .. } => {
-                // Input files are texts; another attachment is not ours, and shows in the hash.
+                // Input files are texts; any other attachment changes the hash.
                 self.inputs.push((header.name, String::from_utf8_lossy(&data).into_owned()));
             }
             Record::Message { header, data } => {
@@ -70,7 +70,7 @@ impl<'a> Contents<'a> {
     }
 
     fn message(&mut self, channel: u16, data: &[u8]) -> Result<(), String> {
-        // Where the messages of another program have no channel, the missing session tells.
+        // A message without a channel is skipped; if it was the session, its absence is told at the end.
         let Some((topic, schema)) = self.definitions.names(channel) else { return Ok(()) };
         if self.options.drop(topic) {
             return Ok(());
@@ -93,7 +93,7 @@ impl<'a> Contents<'a> {
     /// Whether a message belongs to a set whose session is not in a recovered file.
     fn is_of_a_lost_set(&mut self, own: &Own) -> bool {
         let key = own.set().filter(|_| self.recovered);
-        // A key that is none of ours is refused where it is read.
+        // An unknown key is refused below, where the message is read.
         let Some(kind) = key.and_then(|key| schema::set_kind(key).ok()) else { return false };
         let lost = !self.sets.iter().any(|known| known.set.kind == kind);
         if lost {
@@ -150,7 +150,7 @@ impl<'a> Contents<'a> {
     }
 
     fn observation(&mut self, message: &v1::Observation) -> Result<(), String> {
-        // Where something was lost, or nobody counted, the observations that are there are taken in their order.
+        // Where some were lost, or another program did not number them, the observations are taken in the order of the file.
         let counted = self.metadata.is_some() && !self.recovered;
         let set = &mut self.set(&message.set)?.set;
         let place = set.measurements.observations.len();
@@ -221,7 +221,7 @@ impl<'a> Contents<'a> {
                 Some(expected) => {
                     return Err(RecordingError::MissingMeasurements { set: kind.key(), expected, found });
                 }
-                // Other programs need not say when a set ends.
+                // Other programs may leave out the end of a set.
                 None if provenance.is_none() && !self.recovered => {}
                 None => missing.push(MissingPart { kind, found, expected: *planned }),
             }
