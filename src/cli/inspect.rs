@@ -8,7 +8,7 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use super::{CliError, Verdict, print};
 use calibrig_recording::{
-    EstimateReport, Health, Inspection, Part, ProvenanceReport, ProvenanceState, RecordingError, SetReport,
+    EstimateReport, FaultyPart, Health, Inspection, ProvenanceReport, ProvenanceState, RecordingError, SetReport,
     State, TopicReport, inspect,
 };
 
@@ -128,7 +128,7 @@ pub(super) fn whole_words(health: &Health) -> &'static str {
     let any = health.checksum_of_data == Some(true)
         || health.checksum_of_summary == Some(true)
         || health.checksums > 0;
-    match (health.lost.contains_key(&Part::OpaqueChunk), health.holds_unprotected(), any) {
+    match (health.lost.contains_key(&FaultyPart::OpaqueChunk), health.holds_unprotected(), any) {
         (true, ..) => "whole, as far as it was checked: chunks of another compression were not",
         (_, false, true) => "whole: every part is there, and every checksum matches",
         (_, true, true) => "whole: every part is there, and every checksum matches, but some parts have none",

@@ -368,11 +368,11 @@ fn recordings_that_cannot_become_text_are_refused() {
     let refused = |arguments: &[&str], place: &str, message: &str, expected: &str| {
         assert_refused(&sandbox, &[&export, arguments].concat(), place, message, expected);
     };
-    refused(&[SCENARIO], "scenarios/paper.toml: ", "not an MCAP file", "written by `calibrig run`");
+    refused(&[SCENARIO], "scenarios/paper.toml: ", "not an MCAP file", "that `calibrig run` writes");
     refused(&["none.mcap"], "cannot read none.mcap", "No such file", "recording.mcap");
-    refused(&["half.mcap"], "half.mcap: ", "breaks off before its end", "the footer of a finished recording");
+    refused(&["half.mcap"], "half.mcap: ", "ends before its footer", "a complete file");
     refused(&["bare.mcap"], "bare.mcap: ", "holds no robot", "--model ROBOT.toml");
-    refused(&["whole.mcap", "--model", UR5], "whole.mcap: ", "robot/robot.toml", "leave --model out");
+    refused(&["whole.mcap", "--model", UR5], "whole.mcap: ", "robot/robot.toml", "leave out --model");
     let place = "bare.mcap: /measurement/identification: pose 1: ";
     refused(&["bare.mcap", "--model", UR5], place, "3 commands for 6 joints", "one per joint");
     refused(

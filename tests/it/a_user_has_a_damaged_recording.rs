@@ -21,8 +21,8 @@ fn it_breaks_off() {
             &sandbox,
             &REPLAY,
             "r.mcap: ",
-            "breaks off before its end",
-            "the footer of a finished recording",
+            "ends before its footer",
+            "a complete file",
         );
     }
 }
@@ -46,14 +46,14 @@ fn it_is_none() {
     sandbox.write("text.mcap", "hello".repeat(100));
     for file in ["empty.mcap", "text.mcap", SCENARIO] {
         let place = format!("{file}: ");
-        assert_refused(&sandbox, &["replay", file], &place, "not an MCAP file", "written by `calibrig run`");
+        assert_refused(&sandbox, &["replay", file], &place, "not an MCAP file", "that `calibrig run` writes");
     }
 }
 
 #[test]
 fn it_is_absent_or_a_folder() {
     let sandbox = Sandbox::new();
-    let expected = "written by `calibrig run`";
+    let expected = "that `calibrig run` writes";
     assert_refused(&sandbox, &REPLAY, "cannot read r.mcap: ", "No such file", expected);
     sandbox.make_folder("r.mcap");
     assert_refused(&sandbox, &REPLAY, "cannot read r.mcap: ", "directory", expected);
@@ -131,7 +131,7 @@ fn nothing_is_wrong_with_it() {
 #[test]
 fn nothing_can_be_saved_of_it() {
     let sandbox = Sandbox::new();
-    let expected = "written by `calibrig run`";
+    let expected = "that `calibrig run` writes";
     sandbox.write("empty.mcap", "");
     sandbox.write("text.mcap", "hello".repeat(100));
     for file in ["empty.mcap", "text.mcap", SCENARIO] {
@@ -150,7 +150,7 @@ fn nothing_can_be_saved_of_it() {
         );
     }
     sandbox.write("r.mcap", b"\x89MCAP0\r\n\x01\x00");
-    assert_refused(&sandbox, &RECOVER, "r.mcap holds no message", "2 are not readable", "nothing is written");
+    assert_refused(&sandbox, &RECOVER, "r.mcap holds no message", "2 are not readable", "no new file is written");
 }
 
 #[test]
@@ -188,8 +188,8 @@ fn the_target_cannot_be_written() {
         assert_refused(&sandbox, &["recover", "r.mcap", target], place, message, expected);
     };
     refused("there.mcap", "there.mcap ", "is already there", "--force");
-    refused("r.mcap", "r.mcap ", "is the damaged file itself", "another file");
-    refused("./models/../r.mcap", "./models/../r.mcap ", "is the damaged file itself", "another file");
+    refused("r.mcap", "r.mcap ", "is the damaged file itself", "another name");
+    refused("./models/../r.mcap", "./models/../r.mcap ", "is the damaged file itself", "another name");
     refused("models", "models ", "is a folder", "the name of a file");
     refused("none/good.mcap", "cannot write none/good.mcap: ", "No such file", "an existing folder");
     refused("there.mcap/good.mcap", "cannot write there.mcap/good.mcap: ", "Not a directory", "a folder");

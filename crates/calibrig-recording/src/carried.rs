@@ -1,4 +1,4 @@
-//! What the flange carried, and at how many poses, as reports have it.
+//! The payloads at the flange, and at how many poses each was carried, for reports.
 
 use std::fmt;
 
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use calibrig_model::Payload;
 
-/// What the flange carried at some poses; all `None` where that is nothing.
+/// What the flange carried at some poses; all `None` where it carried nothing.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CarriedReport {
     /// Name.
@@ -22,7 +22,7 @@ pub struct CarriedReport {
 }
 
 impl CarriedReport {
-    /// Of a payload, or of nothing.
+    /// Of a payload; `None` is an empty flange.
     pub fn of(payload: Option<&Payload>, poses: usize) -> Self {
         Self {
             name: payload.map(|payload| payload.name.clone()),

@@ -1,18 +1,18 @@
-//! Simulated time of a recording, which never runs back.
+//! Simulated time of a recording. It never runs backwards.
 
 use calibrig_model::measurement::Observation;
 use calibrig_model::measurement::SetKind;
 
 pub(super) const SECOND: u64 = 1_000_000_000;
-/// Between one set and the next, where their own times do not tell.
+/// Pause between two sets whose own times do not follow one another.
 const PAUSE: u64 = 10 * SECOND;
 
-/// Gives every observation its time: its own where that goes on from the one before, else a second a pose.
+/// Gives every observation its time: its own if that is later than the one before, else one second a pose.
 #[derive(Debug, Default)]
 pub(super) struct Clock {
-    /// The observation before: its set, its pose and its time, ns.
+    /// Set, pose and time (ns) of the observation before.
     last: Option<(SetKind, u32, u64)>,
-    /// What the set's own times are moved by, ns.
+    /// How far the set's own times are shifted, ns.
     shift: u64,
 }
 

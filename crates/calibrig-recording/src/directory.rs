@@ -1,13 +1,13 @@
-//! What the summary section at the end of an MCAP file tells of the rest, where it is there and sound.
+//! What the summary section at the end of an MCAP file says about the rest of the file, if that section is complete and sound.
 
 use std::collections::{BTreeMap, HashMap};
 use std::io::{Read, Seek, SeekFrom};
 
 use mcap::MAGIC;
 use mcap::records::{Channel, Record, SchemaHeader, op};
-use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use mcap::sans_io::linear_reader::LinearReaderOptions;
 
-use super::mcap_writer::RECORD_LIMIT;
+use super::records::{ReadError, pull};
 
 /// Length of a footer record.
 const FOOTER: u64 = 9 + 20;
@@ -29,7 +29,7 @@ pub(super) struct Definitions {
 }
 
 impl Definitions {
-    /// Takes note of a schema or a channel.
+    /// Remembers a schema or a channel.
     pub(super) fn learn(&mut self, record: Record<'_>) {
         match record {
             Record::Schema { header, data } => {
@@ -42,6 +42,13 @@ impl Definitions {
         }
     }
 
+    /// A channel's topic and the name of its schema; `None` of a channel that is not known.
+    pub(super) fn names(&self, id: u16) -> Option<(&str, &str)> {
+        let channel = self.channels.get(&id)?;
+        let schema = self.schemas.get(&channel.schema_id).map_or("none", |schema| &schema.header.name);
+        Some((&channel.topic, schema))
+    }
+
     /// A channel with its schema, where it has one. `None` if either is not known.
     pub(super) fn channel(&self, id: u16) -> Option<(&Channel, Option<&Schema>)> {
         let channel = self.channels.get(&id)?;
@@ -52,10 +59,10 @@ impl Definitions {
     }
 }
 
-/// What the summary section tells.
+/// The contents of the summary section.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Directory {
-    /// Of the whole file: those of a lost chunk, too.
+    /// Of the whole file, lost chunks included.
     pub definitions: Definitions,
     /// Where chunks, attachments, metadata and the end of the data begin, in ascending order.
     landmarks: Vec<u64>,
@@ -66,77 +73,37 @@ pub(super) struct Directory {
 }
 
 impl Directory {
-    /// Reads the summary section of `file`; nothing where it is not there, damaged, or without a checksum.
+    /// Reads the summary section of `file`; empty if it is missing, damaged, or without a checksum.
     pub(super) fn of(file: &mut (impl Read + Seek)) -> std::io::Result<Self> {
-        let length = file.seek(SeekFrom::End(0))?;
-        Ok(match start(file, length)? {
-            Some(start) => read(file, start)?.unwrap_or_default(),
-            None => Self::default(),
-        })
-    }
-}
-
-/// Where the summary section begins, if the file ends as it should.
-fn start(file: &mut (impl Read + Seek), length: u64) -> std::io::Result<Option<u64>> {
-    let tail = FOOTER + MAGIC.len() as u64;
-    let Some(footer) = length.checked_sub(tail) else { return Ok(None) };
-    file.seek(SeekFrom::Start(footer))?;
-    let mut bytes = Vec::new();
-    file.by_ref().take(tail).read_to_end(&mut bytes)?;
-    let sound = bytes.first() == Some(&op::FOOTER)
-        && bytes.get(1..9) == Some(&20_u64.to_le_bytes()[..])
-        && bytes.ends_with(MAGIC);
-    let number = bytes.get(9..17).and_then(|number| number.try_into().ok()).map(u64::from_le_bytes);
-    let protected = bytes.get(25..29).is_some_and(|crc| crc != [0; 4]);
-    let in_range = |start: &u64| (DATA_END..footer).contains(start);
-    Ok(number.filter(in_range).filter(|_| sound && protected))
-}
-
-/// Reads the section that begins at `start`. `None` if its checksum does not fit.
-fn read(file: &mut (impl Read + Seek), start: u64) -> std::io::Result<Option<Directory>> {
-    // The checksum begins behind the end of the data.
-    file.seek(SeekFrom::Start(start - DATA_END))?;
-    let options = LinearReaderOptions::default()
-        .with_skip_start_magic(true)
-        .with_emit_chunks(true)
-        .with_validate_summary_section_crc(true)
-        .with_record_length_limit(RECORD_LIMIT);
-    let mut reader = LinearReader::new_with_options(options);
-    let data_end = start - DATA_END;
-    let mut directory =
-        Directory { landmarks: vec![data_end], data_end: Some(data_end), ..Directory::default() };
-    let mut ends = (false, false);
-    while let Some(event) = reader.next_event() {
-        let (opcode, data) = match event {
-            Ok(LinearReadEvent::ReadRequest(wanted)) => {
-                let read = file.read(reader.insert(wanted))?;
-                reader.notify_read(read);
-                continue;
+        let Some(data_end) = data_end(file)? else { return Ok(Self::default()) };
+        // The checksum covers what follows the end of the data.
+        file.seek(SeekFrom::Start(data_end))?;
+        let mut directory = Self { landmarks: vec![data_end], data_end: Some(data_end), ..Self::default() };
+        let mut ends = (false, false);
+        let options = LinearReaderOptions::default().with_skip_start_magic(true);
+        let read = pull(file, options, &mut |opcode, body| {
+            match mcap::parse_record(opcode, body)? {
+                Record::DataEnd(_) => ends.0 = true,
+                Record::Footer(_) => ends.1 = true,
+                Record::ChunkIndex(index) => directory.landmarks.push(index.chunk_start_offset),
+                Record::AttachmentIndex(index) => directory.landmarks.push(index.offset),
+                Record::MetadataIndex(index) => directory.landmarks.push(index.offset),
+                Record::Statistics(found) => directory.counts = Some(found.channel_message_counts),
+                definition => directory.definitions.learn(definition),
             }
-            Ok(LinearReadEvent::Record { opcode, data }) => (opcode, data),
-            Err(_) => return Ok(None),
-        };
-        match opcode {
-            op::DATA_END => ends.0 = true,
-            op::FOOTER => ends.1 = true,
-            op::SCHEMA
-            | op::CHANNEL
-            | op::CHUNK_INDEX
-            | op::ATTACHMENT_INDEX
-            | op::METADATA_INDEX
-            | op::STATISTICS => match mcap::parse_record(opcode, data) {
-                Ok(record) => directory.learn(record),
-                Err(_) => return Ok(None),
-            },
-            _ => {}
+            Ok(())
+        });
+        if let Err(ReadError::Io(error)) = read {
+            return Err(error);
         }
+        if read.is_err() || ends != (true, true) {
+            return Ok(Self::default());
+        }
+        directory.landmarks.retain(|&mark| mark <= data_end);
+        directory.landmarks.sort_unstable();
+        Ok(directory)
     }
-    directory.landmarks.retain(|&mark| mark <= data_end);
-    directory.landmarks.sort_unstable();
-    Ok((ends == (true, true)).then_some(directory))
-}
 
-impl Directory {
     /// Whether a chunk, an attachment or a metadata record begins at `at`.
     pub(super) fn is_landmark(&self, at: u64) -> bool {
         self.landmarks.binary_search(&at).is_ok()
@@ -146,14 +113,20 @@ impl Directory {
     pub(super) fn landmark_behind(&self, at: u64) -> Option<u64> {
         self.landmarks.get(self.landmarks.partition_point(|&mark| mark <= at)).copied()
     }
+}
 
-    fn learn(&mut self, record: Record<'_>) {
-        match record {
-            Record::ChunkIndex(index) => self.landmarks.push(index.chunk_start_offset),
-            Record::AttachmentIndex(index) => self.landmarks.push(index.offset),
-            Record::MetadataIndex(index) => self.landmarks.push(index.offset),
-            Record::Statistics(statistics) => self.counts = Some(statistics.channel_message_counts),
-            definition => self.definitions.learn(definition),
-        }
-    }
+/// Where the data end, if the file ends as it should, with a summary section that has a checksum.
+fn data_end(file: &mut (impl Read + Seek)) -> std::io::Result<Option<u64>> {
+    let tail = FOOTER + MAGIC.len() as u64;
+    let Some(footer) = file.seek(SeekFrom::End(0))?.checked_sub(tail) else { return Ok(None) };
+    file.seek(SeekFrom::Start(footer))?;
+    let mut bytes = Vec::new();
+    file.by_ref().take(tail).read_to_end(&mut bytes)?;
+    let head = [&[op::FOOTER][..], &20_u64.to_le_bytes()].concat();
+    let body = bytes.strip_prefix(&head[..]).and_then(|rest| rest.strip_suffix(MAGIC));
+    let Some(Ok(Record::Footer(found))) = body.map(|body| mcap::parse_record(op::FOOTER, body)) else {
+        return Ok(None);
+    };
+    let start = found.summary_start.checked_sub(DATA_END);
+    Ok(start.filter(|_| found.summary_start < footer && found.summary_crc != 0))
 }

@@ -8,7 +8,8 @@ use thiserror::Error;
 
 use super::provenance::SCHEMA;
 
-const WRITTEN_BY: &str = "expected a recording.mcap written by `calibrig run`";
+const WRITTEN_BY: &str =
+    "expected an MCAP file, such as the recording.mcap that `calibrig run` writes: check the path";
 
 /// A recording that cannot be written or read.
 #[derive(Debug, Error, Diagnostic)]
@@ -16,7 +17,9 @@ const WRITTEN_BY: &str = "expected a recording.mcap written by `calibrig run`";
 pub enum RecordingError {
     /// The file cannot be written.
     #[error("cannot write {}", path.display())]
-    #[diagnostic(help("expected a folder that is there, with room and permission to write"))]
+    #[diagnostic(help(
+        "expected an existing folder with free space and permission to write: choose another folder, or make room"
+    ))]
     Unwritable {
         /// The file.
         path: PathBuf,
@@ -29,7 +32,7 @@ pub enum RecordingError {
         /// The sink's words.
         reason: String,
     },
-    /// The address of a viewer makes no sense.
+    /// What was given is not the address of a viewer.
     #[error("`{url}` is not the address of a Rerun viewer: {reason}")]
     #[diagnostic(help("expected an address such as rerun+http://127.0.0.1:9876/proxy"))]
     BadViewerUrl {
@@ -38,7 +41,7 @@ pub enum RecordingError {
         /// What is wrong.
         reason: String,
     },
-    /// No viewer listens.
+    /// No viewer answers.
     #[error("no Rerun viewer can be reached at {url}: {reason}")]
     #[diagnostic(help(
         "expected an open viewer: `pip install rerun-sdk=={version}` or `cargo install rerun-cli@{version}`, then `rerun` in another terminal"
@@ -51,8 +54,11 @@ pub enum RecordingError {
         /// The version that fits.
         version: String,
     },
-    /// The viewer went away, or does not read, before it was told everything.
-    #[error("the Rerun viewer at {url} was not told everything: {reason}")]
+    /// The viewer was closed, or stopped reading, before it had everything.
+    #[error("the Rerun viewer at {url} did not get everything: {reason}")]
+    #[diagnostic(help(
+        "expected a viewer that stays open until the end; what it has not got is in the files that the run writes"
+    ))]
     ViewerLost {
         /// Where it was.
         url: String,
@@ -61,12 +67,13 @@ pub enum RecordingError {
     },
     /// An input file is too long to be attached.
     #[error("the input {name} is {bytes} bytes long: a recording holds at most {limit} bytes of one input")]
+    #[diagnostic(help("expected a shorter file: leave out of it what the run does not need, or split it"))]
     AttachmentTooLong {
         /// Role and name.
         name: String,
         /// Its length.
         bytes: usize,
-        /// The longest that is read back.
+        /// The greatest length that can be read back.
         limit: usize,
     },
     /// The file cannot be opened or read.
@@ -83,19 +90,25 @@ pub enum RecordingError {
     #[diagnostic(help("{WRITTEN_BY}"))]
     NotMcap,
     /// The file ends too early.
-    #[error("the recording breaks off before its end: it was not finished, or is damaged")]
-    #[diagnostic(help("expected the footer of a finished recording; copy it again or record the run again"))]
+    #[error("the recording ends before its footer: it was not finished, or a part is missing")]
+    #[diagnostic(help(
+        "expected a complete file: copy it again, or save what is there with `calibrig recover FILE NEW`"
+    ))]
     Truncated,
     /// A checksum or a length is wrong.
     #[error("the recording is damaged")]
-    #[diagnostic(help("expected checksums that fit the contents; copy it again or record the run again"))]
+    #[diagnostic(help(
+        "expected checksums and lengths that fit the contents: copy it again, or save what is sound with `calibrig recover FILE NEW`"
+    ))]
     Corrupt {
         /// What does not fit.
         source: McapError,
     },
-    /// Chunks whose compression is none of MCAP's specification.
+    /// Chunks in a compression that the MCAP specification does not know.
     #[error("the messages are compressed with {compression:?}, which is not read")]
-    #[diagnostic(help("expected zstd, lz4 or no compression: write the file again with one of these"))]
+    #[diagnostic(help(
+        "expected zstd, lz4 or no compression: write the file again with one of them, in the program that made it"
+    ))]
     UnknownCompression {
         /// As the chunk says.
         compression: String,
@@ -105,13 +118,13 @@ pub enum RecordingError {
         "the MCAP file is not a calibrig recording: it has neither metadata `calibrig` nor a message on /session"
     )]
     #[diagnostic(help(
-        "{WRITTEN_BY}, or recorded by another program on the topics that docs/formats.md names"
+        "expected a recording of `calibrig run`, or of another program on the topics that docs/formats.md names"
     ))]
     Foreign,
-    /// Nothing can be saved of a file.
+    /// A file holds nothing that could be saved.
     #[error("{} holds no message that can be read: {bytes} bytes, of which {unread} are not readable{}", path.display(), why.as_ref().map(|why| format!(", and a chunk: {why}")).unwrap_or_default())]
     #[diagnostic(help(
-        "expected a file in which something was recorded before it ended; nothing is written"
+        "expected a file with at least one message in a sound chunk; no new file is written: look for another copy"
     ))]
     NothingToRecover {
         /// The file.
@@ -120,51 +133,55 @@ pub enum RecordingError {
         bytes: u64,
         /// Bytes that belong to no whole record.
         unread: u64,
-        /// Why a chunk is not looked into.
+        /// Why a chunk cannot be read.
         why: Option<String>,
     },
-    /// A file is to be saved over itself.
+    /// The damaged file was named as the new one, too.
     #[error("{} is the damaged file itself", path.display())]
-    #[diagnostic(help("expected the name of another file: the damaged one is not touched"))]
+    #[diagnostic(help("expected another name for the new file: the damaged one stays as it is"))]
     SameFile {
         /// The file.
         path: PathBuf,
     },
-    /// A file is in the way.
+    /// A file of that name exists.
     #[error("{} is already there", path.display())]
     #[diagnostic(help("expected the name of a new file, or --force to write over it"))]
     Exists {
         /// The file.
         path: PathBuf,
     },
-    /// A folder has the name that a file should get.
+    /// A folder of that name exists.
     #[error("{} is a folder", path.display())]
-    #[diagnostic(help("expected the name of a file to write"))]
+    #[diagnostic(help("expected the name of a file: add one to the folder, such as {}/recovered.mcap", path.display()))]
     IsFolder {
         /// The folder.
         path: PathBuf,
     },
-    /// A topic that is to be left out is not there.
+    /// A topic to leave out does not exist.
     #[error("the recording has no topic {topic}")]
     #[diagnostic(help("expected one of {}", known.join(", ")))]
     NoSuchTopic {
         /// As asked for.
         topic: String,
-        /// What there is.
+        /// The topics of the recording.
         known: Vec<String>,
     },
     /// The recording was written by a later version.
     #[error("the recording has schema {found}, this version reads up to {SCHEMA}")]
-    #[diagnostic(help("use the version of calibrig that wrote it: {software}"))]
+    #[diagnostic(help(
+        "expected schema {SCHEMA} or an older one: use the version of calibrig that wrote it: {software}"
+    ))]
     NewerSchema {
         /// The recording's schema.
         found: String,
         /// The software that wrote it.
         software: String,
     },
-    /// A metadata key is missing or makes no sense.
+    /// A metadata key is missing or has an impossible value.
     #[error("the recording's metadata lack a valid `{key}`: found {found}")]
-    #[diagnostic(help("expected {expected}"))]
+    #[diagnostic(help(
+        "expected {expected}: the metadata were changed after the run, so take the original file"
+    ))]
     BadProvenance {
         /// The key.
         key: String,
@@ -175,38 +192,40 @@ pub enum RecordingError {
     },
     /// Input files are missing.
     #[error("the recording lacks the input files {}", missing.join(", "))]
-    #[diagnostic(help("expected the attachments {}", expected.join(", ")))]
+    #[diagnostic(help("expected the attachments {}: take the original file, from which none were removed", expected.join(", ")))]
     MissingAttachments {
-        /// Names of the attachments that are not there.
+        /// Names of the missing attachments.
         missing: Vec<String>,
-        /// All that should be.
+        /// Names of all attachments that should be there.
         expected: Vec<String>,
     },
     /// Metadata or input files were changed after the run.
     #[error("the recording's provenance was altered: its hash is {found}")]
     #[diagnostic(help(
-        "expected {expected}, the hash that the recording states of its metadata and input files"
+        "expected {expected}, as the recording itself states: its metadata or input files were changed after the run, so take the original file"
     ))]
     AlteredProvenance {
         /// Hash that the recording states, hexadecimal.
         expected: String,
-        /// Hash of what is there, hexadecimal.
+        /// Hash of its present contents, hexadecimal.
         found: String,
     },
-    /// Nothing was measured.
+    /// Nothing was measured that could be fitted.
     #[error(
         "the recording holds no measurements to fit: {sets} sets on /session, but no observation of the identification set"
     )]
     #[diagnostic(help(
-        "expected at least one calibrig.v1.Observation on /measurement/identification, behind its session"
+        "expected at least one calibrig.v1.Observation on /measurement/identification, after the session that describes its set"
     ))]
     NoMeasurements {
-        /// Number of sets that are described.
+        /// Number of described sets.
         sets: usize,
     },
     /// Some measurements are missing.
     #[error("the recording holds {found} observations of the {set} set")]
-    #[diagnostic(help("expected {expected}, as its session states"))]
+    #[diagnostic(help(
+        "expected {expected}, as its session states: take the original file, or `calibrig recover FILE NEW` to use what is left"
+    ))]
     MissingMeasurements {
         /// Key of the set.
         set: &'static str,
@@ -215,9 +234,11 @@ pub enum RecordingError {
         /// As found.
         found: usize,
     },
-    /// A message of ours that makes no sense.
+    /// One of calibrig's own messages that cannot be used.
     #[error("message {sequence} on {topic}: {reason}")]
-    #[diagnostic(help("expected a message as described in calibrig.proto, package calibrig.v1"))]
+    #[diagnostic(help(
+        "expected a message as calibrig.proto describes it (package calibrig.v1): mend the program that wrote it"
+    ))]
     InvalidMessage {
         /// The topic.
         topic: String,
@@ -235,7 +256,7 @@ impl RecordingError {
         Self::Unrecordable { reason: reason.to_string() }
     }
 
-    /// What the library says, with the cause that it does not say.
+    /// The library's error, or its cause where that says more.
     // By value, to be named in `map_err`.
     #[allow(clippy::needless_pass_by_value)]
     pub(super) fn unwritten(error: McapError) -> Self {

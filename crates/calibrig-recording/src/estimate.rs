@@ -1,4 +1,4 @@
-//! What a mode made of the measurements, as a message.
+//! The result of a mode, as a message.
 
 use super::schema::{self, v1};
 use calibrig_estimation::evaluation::ModeOutcome;
@@ -77,7 +77,7 @@ fn with_identification(robot: v1::Estimate, estimate: &Estimate) -> v1::Estimate
     }
 }
 
-/// Degrees of freedom of a recorded chi-square, whichever way it was recorded.
+/// Degrees of freedom of a recorded chi-square, from the newer field or the older one.
 pub(super) fn freedom_of(estimate: &v1::Estimate) -> Option<f64> {
     estimate.effective_degrees_of_freedom.or(estimate.degrees_of_freedom.map(|freedom| freedom as f64))
 }

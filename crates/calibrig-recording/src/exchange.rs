@@ -1,18 +1,13 @@
-//! From a recording to files of text, and from measured sets to a recording.
+//! Turns a recording into text files, and measured sets into a recording.
 
-use std::collections::HashMap;
-use std::fs::File;
-use std::io::BufReader;
 use std::path::Path;
 
-use mcap::records::Record;
 use miette::Diagnostic;
 use prost::Message;
 use thiserror::Error;
 
 use super::file::write_whole;
-use super::mcap_reader::decode;
-use super::scan::{ReadError, scan};
+use super::messages::{decode, read_messages};
 use super::schema::{self, v1};
 use super::story::record_sets;
 use super::{McapRecorder, Preamble, Recording, RecordingError, read_recording};
@@ -26,7 +21,7 @@ use calibrig_model::JointKind;
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::measurement::{SetKind, SetOutcome};
 
-/// A recording that cannot be told in files of text.
+/// Why a recording cannot be written as text files.
 #[derive(Debug, Error, Diagnostic)]
 #[non_exhaustive]
 pub enum ExportError {
@@ -38,18 +33,20 @@ pub enum ExportError {
     #[error("an attachment of the recording: {0}")]
     #[diagnostic(transparent)]
     Attachment(#[from] InputError),
-    /// No robot, whose joints name the columns.
+    /// There is no robot whose joints could name the columns.
     #[error("the recording holds no robot")]
-    #[diagnostic(help("expected an attachment robot/FILE.toml, or --model ROBOT.toml"))]
+    #[diagnostic(help(
+        "expected an attachment robot/FILE.toml: name the robot's file with --model ROBOT.toml"
+    ))]
     NoRobot,
     /// A robot is given, but the recording has its own.
     #[error("the recording holds its robot already: {name}")]
-    #[diagnostic(help("expected no other: leave --model out"))]
+    #[diagnostic(help("expected only one robot: leave out --model"))]
     SecondRobot {
         /// Its attachment.
         name: String,
     },
-    /// A set that the columns cannot hold.
+    /// The columns of a measurement file cannot hold a set.
     #[error("/measurement/{set}: {source}")]
     #[diagnostic(forward(source))]
     Measurements {
@@ -58,11 +55,11 @@ pub enum ExportError {
         /// Why.
         source: CsvError,
     },
-    /// A session that its file cannot hold.
+    /// A session file cannot hold the session.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Session(#[from] SessionTextError),
-    /// What was written would not be read back as it was.
+    /// The text would not be read back with the same bits.
     #[error("/measurement/{set}: a measurement file cannot hold it: {reason}")]
     #[diagnostic(help(
         "expected symmetric covariances, positions other than (0, 0, 0), ranges above zero, and numbers of at most 1e15"
@@ -75,28 +72,20 @@ pub enum ExportError {
     },
 }
 
-/// A file of text, by its name without a folder.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct ExportedFile {
-    /// Its name.
-    pub name: String,
-    /// Its whole text.
-    pub text: String,
-}
-
 /// A recording as files of text.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CsvExport {
-    /// `robot.toml` and the other inputs, `identification.csv`, `verification.csv`, `sweeps.csv`, `session.toml`, `residuals.csv`, `parameters.csv`.
-    pub files: Vec<ExportedFile>,
-    /// What is different from the recording, or not there, in words.
+    /// `robot.toml` and the other inputs, `identification.csv`, `verification.csv`, `sweeps.csv`, `session.toml`, `residuals.csv`, `parameters.csv`:
+    /// names without a folder.
+    pub files: Vec<Source>,
+    /// What differs from the recording, or is missing, in words.
     pub remarks: Vec<String>,
 }
 
-/// The recording at `path` as files of text; `model` is its robot, where it does not hold one itself.
+/// The recording at `path` as text files. `model` is the robot of a recording that does not hold its own.
 ///
-/// The measurements are read back from the texts and compared: every bit is the same. Input files are found beside each other under the
-/// names that they have for each other. Residuals and parameters are those recorded.
+/// The measurements are read back from the texts and compared: every bit is the same. The input files get the names by which they refer to
+/// each other. Residuals and parameters are the recorded ones.
 ///
 /// # Errors
 /// The recording cannot be read, has no robot or another number of joints, or holds what no measurement file can: see [`ExportError`].
@@ -121,29 +110,36 @@ pub fn export_csv(path: &Path, model: Option<Robot>) -> Result<CsvExport, Export
         }
         let text = measurements_text(measurements, &joints)
             .map_err(|source| ExportError::Measurements { set, source })?;
-        texts.push((*kind, Source::new(format!("{set}.csv"), text)));
+        texts.push(Source::new(format!("{set}.csv"), text));
         told.push((*kind, measurements, dropped));
     }
     let session = Source::new("session.toml", session_text(&told)?);
-    check(&told, &texts, &session, &joints)?;
+    for ((kind, set, dropped), text) in told.iter().zip(&texts) {
+        check(kind.key(), *kind, text, &session, &joints, |read| difference(*kind, (set, dropped), read))?;
+    }
     if let Some(swept) = &swept {
-        texts.push((SetKind::Identification, sweeps_text(swept, &session, &joints)?));
+        let (kind, set) = (SetKind::Identification, "swept");
+        let text =
+            measurements_text(swept, &joints).map_err(|source| ExportError::Measurements { set, source })?;
+        let text = Source::new("sweeps.csv", text);
+        check(set, kind, &text, &session, &joints, |read| differing_reading(kind, swept, &read.set))?;
+        texts.push(text);
     }
-    for file in texts.into_iter().map(|(_, source)| source).chain([session]) {
-        export.files.push(ExportedFile { name: file.name, text: file.text });
-    }
+    export.files.extend(texts.into_iter().chain([session]));
     for part in &recording.missing {
         let (set, found) = (part.kind.key(), part.found);
         export
             .remarks
             .push(format!("the recording was cut short: {set}.csv has the {found} observations left"));
     }
-    let tables = tables(path)?;
+    // Residuals and parameters are not in what `read_recording` returns.
+    let mut tables = Tables::default();
+    read_messages(path, &mut |topic, schema, data| tables.message(topic, schema, data))?;
     for (name, table, what) in
         [("residuals.csv", tables.residuals, "residuals"), ("parameters.csv", tables.parameters, "estimates")]
     {
         match table {
-            Some(text) => export.files.push(ExportedFile { name: name.to_owned(), text }),
+            Some(text) => export.files.push(Source::new(name, text)),
             None => export.remarks.push(format!("the recording holds no {what}: there is no {name}")),
         }
     }
@@ -155,7 +151,7 @@ pub fn export_csv(path: &Path, model: Option<Robot>) -> Result<CsvExport, Export
     Ok(export)
 }
 
-/// The readings of sweeps as a set of their own, and the sets without them: a file of text holds either.
+/// Takes the readings of sweeps out of the sets, into a set of their own: they get a text file of their own.
 fn take_sweeps(sets: &mut [SetOutcome]) -> Option<MeasurementSet> {
     let mut first = sets.first()?.measurements.clone();
     first.observations =
@@ -166,24 +162,7 @@ fn take_sweeps(sets: &mut [SetOutcome]) -> Option<MeasurementSet> {
     (!first.observations.is_empty()).then_some(first)
 }
 
-/// `sweeps.csv`, which has been read back.
-fn sweeps_text(
-    swept: &MeasurementSet,
-    session: &Source,
-    joints: &[JointKind],
-) -> Result<Source, ExportError> {
-    let (kind, set) = (SetKind::Identification, "swept");
-    let text =
-        measurements_text(swept, joints).map_err(|source| ExportError::Measurements { set, source })?;
-    let text = Source::new("sweeps.csv", text);
-    let read = read_back(kind, &text, session, joints).map_err(|error| error.to_string());
-    match read.map(|read| differing_reading(kind, swept, &read.set)) {
-        Err(reason) | Ok(Some(reason)) => Err(ExportError::Lossy { set, reason }),
-        Ok(None) => Ok(text),
-    }
-}
-
-/// Records sets that were measured somewhere else. The file is whole or not there.
+/// Records sets that were measured elsewhere. The file is either complete or not written at all.
 pub fn write_sets(path: &Path, preamble: &Preamble<'_>, sets: &[SetOutcome]) -> Result<(), RecordingError> {
     write_whole(path, |file| {
         let mut recorder = McapRecorder::new(file)?;
@@ -201,21 +180,20 @@ fn robot_of(recording: &Recording, model: Option<Robot>) -> Result<Robot, Export
     }
 }
 
-/// Reads the texts back: what they hold must be what was recorded.
+/// Reads the text of a set back: it must hold what was recorded, which `difference` compares.
 fn check(
-    told: &[SessionSet<'_>],
-    texts: &[(SetKind, Source)],
+    set: &'static str,
+    kind: SetKind,
+    text: &Source,
     session: &Source,
     joints: &[JointKind],
+    difference: impl FnOnce(&LoadedMeasurements) -> Option<String>,
 ) -> Result<(), ExportError> {
-    for ((kind, set, dropped), (_, text)) in told.iter().zip(texts) {
-        let read = read_back(*kind, text, session, joints).map_err(|error| error.to_string());
-        let difference = read.map(|read| difference(*kind, (set, dropped), &read));
-        if let Err(reason) | Ok(Some(reason)) = difference {
-            return Err(ExportError::Lossy { set: kind.key(), reason });
-        }
+    let read = read_back(kind, text, session, joints).map_err(|error| error.to_string());
+    match read.map(|read| difference(&read)) {
+        Err(reason) | Ok(Some(reason)) => Err(ExportError::Lossy { set, reason }),
+        Ok(None) => Ok(()),
     }
-    Ok(())
 }
 
 fn read_back(
@@ -229,7 +207,7 @@ fn read_back(
     Ok(read)
 }
 
-/// Where what was read is not what was recorded. Messages are the same where every bit is; numbers that are equal need not be.
+/// How what was read differs from what was recorded, in any bit: encoded messages are compared, since 0.0 == -0.0 as numbers.
 fn difference(
     kind: SetKind,
     (set, dropped): (&MeasurementSet, &[(u32, String)]),
@@ -266,46 +244,11 @@ fn differing_reading(kind: SetKind, set: &MeasurementSet, read: &MeasurementSet)
         .or(fewer)
 }
 
-/// What was made of the measurements, as tables; `None` where nothing was.
+/// Recorded residuals and parameters as tables; `None` where there are none.
 #[derive(Default)]
 struct Tables {
     residuals: Option<String>,
     parameters: Option<String>,
-}
-
-/// Reads what [`read_recording`] leaves out. The file was checked by it.
-fn tables(path: &Path) -> Result<Tables, RecordingError> {
-    let unreadable = |source| RecordingError::Unreadable { path: path.to_path_buf(), source };
-    let mut file = BufReader::new(File::open(path).map_err(unreadable)?);
-    let mut tables = Tables::default();
-    let mut schemas: HashMap<u16, String> = HashMap::new();
-    let mut channels: HashMap<u16, (String, u16)> = HashMap::new();
-    let read = scan(&mut file, &mut |opcode, body| {
-        match mcap::parse_record(opcode, body)? {
-            Record::Schema { header, .. } => {
-                schemas.insert(header.id, header.name);
-            }
-            Record::Channel(channel) => {
-                channels.insert(channel.id, (channel.topic, channel.schema_id));
-            }
-            Record::Message { header, data } => {
-                let Some((topic, schema)) = channels.get(&header.channel_id) else { return Ok(()) };
-                let schema = schemas.get(schema).map_or("none", String::as_str);
-                tables.message(topic, schema, &data).map_err(|reason| RecordingError::InvalidMessage {
-                    topic: topic.clone(),
-                    sequence: header.sequence,
-                    reason,
-                })?;
-            }
-            _ => {}
-        }
-        Ok(())
-    });
-    match read {
-        Ok(()) => Ok(tables),
-        Err(ReadError::Io(source)) => Err(unreadable(source)),
-        Err(ReadError::Recording(error)) => Err(error),
-    }
 }
 
 impl Tables {
@@ -347,16 +290,11 @@ fn quoted(text: &str) -> String {
 }
 
 fn add_row(table: &mut String, cells: impl Iterator<Item = String>) {
-    for (index, cell) in cells.enumerate() {
-        if index > 0 {
-            table.push(',');
-        }
-        *table += &cell;
-    }
+    *table += &cells.collect::<Vec<_>>().join(",");
     table.push('\n');
 }
 
-/// Keys of input files that name another one: role and key of the file, role of the other.
+/// Keys in input files that name another input file: role of the file, the key, and role of the other file.
 const REFERENCES: [(&str, &str, &str); 5] = [
     ("scenario", "robot", "robot"),
     ("scenario", "poses.identification_from", "identification_poses"),
@@ -365,7 +303,7 @@ const REFERENCES: [(&str, &str, &str); 5] = [
     ("robot", "columns", "columns"),
 ];
 
-/// Adds the input files. They lie beside each other now, whatever folders they came from: what one calls another is changed to that.
+/// Adds the input files. They are all in one folder now, so where one names another, the name is changed to match.
 fn add_inputs(inputs: Vec<(String, Source)>, export: &mut CsvExport) {
     let mut named: Vec<(String, Source)> = Vec::new();
     for (role, source) in inputs {
@@ -391,22 +329,22 @@ fn add_inputs(inputs: Vec<(String, Source)>, export: &mut CsvExport) {
                 .push(format!("{}: {key} = {known} is {wanted:?} now, which lies beside it", file.name));
         }
     }
-    export.files.extend(named.into_iter().map(|(_, s)| ExportedFile { name: s.name, text: s.text }));
+    export.files.extend(named.into_iter().map(|(_, source)| source));
 }
 
-/// The name of an input file: its own without folders, with its role in front where that is taken. It leads nowhere else.
+/// The name of an input file: its own without folders, with its role in front where that name is taken. It never leads out of the folder.
 fn free_name(role: &str, name: &str, taken: &[&str]) -> String {
     let plain = |text: &str| -> String {
         let last = text.rsplit(['/', '\\']).next().unwrap_or_default();
         let safe: String = last.chars().map(|c| if c.is_control() || c == ':' { '_' } else { c }).collect();
         if matches!(safe.as_str(), "" | "." | "..") { "input".to_owned() } else { safe }
     };
-    // Some file systems do not tell capitals from small letters.
+    // Some file systems ignore case.
     let free = |name: &String| !taken.iter().any(|known| known.to_lowercase() == name.to_lowercase());
     let (role, name) = (plain(role), plain(name));
     let numbered = (2_u64..).map(|number| format!("{role}-{number}-{name}"));
     let names = [name.clone(), format!("{role}-{name}")].into_iter().chain(numbered);
-    // There are more numbers than names.
+    // The numbers never run out.
     names.into_iter().find(free).unwrap_or(name.clone())
 }
 
@@ -423,7 +361,9 @@ mod tests {
         let told: [SessionSet<'_>; 1] = [(set.kind, &set.measurements, &set.dropped)];
         let text = measurements_text(&set.measurements, joints).expect("written");
         let session = Source::new("session.toml", session_text(&told)?);
-        check(&told, &[(set.kind, Source::new("set.csv", text))], &session, joints)
+        let text = Source::new("set.csv", text);
+        let same = |read: &LoadedMeasurements| difference(set.kind, (&set.measurements, &set.dropped), read);
+        check(set.kind.key(), set.kind, &text, &session, joints, same)
     }
 
     #[test]
@@ -505,10 +445,8 @@ mod tests {
 
     #[test]
     fn input_files_lie_beside_each_other() {
-        let mut export = CsvExport {
-            files: vec![ExportedFile { name: "identification.csv".to_owned(), text: String::new() }],
-            remarks: Vec::new(),
-        };
+        let mut export =
+            CsvExport { files: vec![Source::new("identification.csv", String::new())], remarks: Vec::new() };
         let input = |role: &str, name: &str, text: &str| (role.to_owned(), Source::new(name, text));
         let inputs = vec![
             input("scenario", "s.toml", "robot = \"../models/r/robot.toml\" # as built\n"),

@@ -1,8 +1,9 @@
-//! What is computed for people alone: histograms of errors, correlations of parameters, the way to the minimum.
+//! Figures for display only: histograms of errors, correlations of parameters, the convergence to the minimum.
 
 use nalgebra::{DMatrix, Vector3};
 
-use calibrig_estimation::identification::{Estimate, ParameterEstimate};
+use super::Story;
+use calibrig_estimation::identification::{Estimate, Mode, ParameterEstimate};
 use calibrig_model::ParameterId;
 
 /// Bins of one width, the same on either side of zero.
@@ -73,7 +74,7 @@ impl Bins {
 pub(super) struct Correlations(DMatrix<f64>);
 
 impl Correlations {
-    /// `None` where the estimate has no covariance. A parameter without variance, at its bound, is correlated with none.
+    /// `None` if the estimate has no covariance. A parameter without variance, at its bound, has no correlations.
     pub(super) fn of(estimate: &Estimate) -> Option<Self> {
         let covariance = estimate.covariance.as_ref()?;
         let sigmas = covariance.diagonal().map(f64::sqrt);
@@ -102,7 +103,12 @@ impl Correlations {
     }
 }
 
-/// What a parameter belongs to, in print.
+/// The modes that identified something, with what they found.
+pub(super) fn identified<'a>(story: &Story<'a>) -> impl Iterator<Item = (Mode, &'a Estimate)> {
+    story.modes.iter().filter_map(|m| Some((m.mode, m.estimate.as_ref()?)))
+}
+
+/// The name of the group that a parameter belongs to.
 pub(super) fn group(id: ParameterId) -> String {
     match id {
         ParameterId::Link { link, .. } => format!("link {}", link + 1),
@@ -119,7 +125,7 @@ pub(super) fn group(id: ParameterId) -> String {
     }
 }
 
-/// How a parameter came near to its final value.
+/// How a parameter approached its final value.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Approach {
     /// Index of the parameter.
@@ -128,8 +134,8 @@ pub(super) struct Approach {
     pub distances: Vec<f64>,
 }
 
-/// The way of every parameter that has a standard deviation (or else one of its prior), the slowest first: by the largest distance that
-/// was left when the last iteration but one was over, then before that one, and so on.
+/// The approach of every parameter with a standard deviation (or one of its prior), slowest first: ordered by the distance left after the last
+/// iteration but one, then after the one before it, and so on.
 pub(super) fn approaches(estimate: &Estimate) -> Vec<Approach> {
     let way = |(index, parameter): (usize, &ParameterEstimate)| {
         let scale = parameter.sigma.or(parameter.prior_sigma).filter(|s| *s > 0.0)?;

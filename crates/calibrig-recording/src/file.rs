@@ -1,4 +1,4 @@
-//! Files that are whole or not there.
+//! Files that are either complete or not written at all.
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -24,8 +24,8 @@ pub(super) fn write_whole<T>(
     Ok(value)
 }
 
-/// A file that is written while something goes on. Its name says that it is unfinished until [`finish`](Self::finish): what a kill leaves
-/// behind is found, and does not pass for a whole file.
+/// A file that is written during a run. Its name ends in `.part` until [`finish`](Self::finish), so that the file of a killed run can be found
+/// and is not taken for a complete one.
 #[derive(Debug)]
 pub struct UnfinishedFile {
     path: PathBuf,
@@ -33,7 +33,7 @@ pub struct UnfinishedFile {
 }
 
 impl UnfinishedFile {
-    /// Makes `NAME.part` in `folder`, or `NAME-2.part` and so on where others lie.
+    /// Creates `NAME.part` in `folder`, or `NAME-2.part` and so on where such files exist.
     pub fn create(folder: &Path, name: &str) -> Result<Self, RecordingError> {
         let mut number = 1_u64;
         loop {
@@ -57,7 +57,7 @@ impl UnfinishedFile {
         self.file.try_clone().map_err(|source| self.unwritable(source))
     }
 
-    /// Sees it on disk, and lets it take the name `path`.
+    /// Writes it to disk and renames it to `path`.
     pub fn finish(self, path: &Path) -> Result<(), RecordingError> {
         let written = self.file.sync_all().and_then(|()| std::fs::rename(&self.path, path));
         written.map_err(|source| self.unwritable(source))
@@ -65,7 +65,7 @@ impl UnfinishedFile {
 
     /// Removes it.
     pub fn discard(self) {
-        // It says itself that it is unfinished.
+        // A file that stays behind is named as unfinished.
         let _ = std::fs::remove_file(&self.path);
     }
 
@@ -74,7 +74,7 @@ impl UnfinishedFile {
     }
 }
 
-/// Permissions that any new file would get, instead of the owner-only ones of temporary files; the process's mask still applies.
+/// Gives a temporary file the permissions of any new file, not only those of its owner; the process's umask still applies.
 #[cfg(unix)]
 fn give_ordinary_permissions(builder: &mut tempfile::Builder<'_, '_>) {
     use std::os::unix::fs::PermissionsExt;

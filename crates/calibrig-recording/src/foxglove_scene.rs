@@ -1,4 +1,4 @@
-//! The story as messages of package `foxglove`, which viewers draw.
+//! The pictures of a run as messages of package `foxglove`, which viewers draw.
 
 use foxglove::messages::{
     ArrowPrimitive, Color, CubePrimitive, CylinderPrimitive, FrameTransform, FrameTransforms, LinePrimitive,
@@ -78,7 +78,7 @@ fn frame(time: u64, parent: &str, child: String, parent_from_child: &Transform) 
     }
 }
 
-/// World, base and trackers, on a topic of their own: after a jump in time viewers are given the last message of every topic.
+/// World, base and trackers, on a topic of their own: after a jump in time, a viewer gets the last message of every topic.
 pub(super) fn fixed_frames(story: &Story<'_>) -> FrameTransforms {
     let world_from_base = Transform::from_parts(
         nalgebra::Translation3::identity(),
@@ -238,21 +238,21 @@ pub(super) fn arrows(time: u64, name: String, arrows: &[Arrow], rgba: Colour) ->
     SceneUpdate { deletions: Vec::new(), entities: vec![shown] }
 }
 
-/// The path as it was to be.
+/// The path as planned.
 pub(super) fn planned_path(time: u64, path: &DrivenPath) -> SceneUpdate {
     let mut shown = entity(time, BASE, "planned path");
     shown.lines.extend(scene::planned_path(path).map(|points| line(&points, 0.01, scene::POINT)));
     SceneUpdate { deletions: Vec::new(), entities: vec![shown] }
 }
 
-/// The path as it was measured, errors 100 times as large.
+/// The path as measured, with errors enlarged 100 times.
 pub(super) fn driven_path(time: u64, mode: &DrivenMode) -> SceneUpdate {
     let mut shown = entity(time, BASE, format!("path with the commands of {}", mode.mode.key()));
     shown.lines.push(line(&scene::driven_path(mode), 0.008, scene::mode_colour(mode.mode)));
     SceneUpdate { deletions: Vec::new(), entities: vec![shown] }
 }
 
-/// Points in the base frame, in single precision: for the eye only.
+/// Points in the base frame, in single precision: for display only.
 pub(super) fn cloud(time: u64, points: &[Vector3<f64>]) -> PointCloud {
     let field = |name: &str, offset: u32| PackedElementField {
         name: name.to_owned(),

@@ -1,4 +1,4 @@
-//! A session told to a recorder while it is measured.
+//! Tells a recorder about a session while it is measured.
 
 use super::Story;
 use super::clock::Clock;
@@ -6,7 +6,7 @@ use super::story::{Measured, Preamble, Recorder, TrueSetting};
 use super::{RecordingError, record_evaluation};
 use calibrig_plant::session::{MeasuredPose, SessionEvent};
 
-/// Tells a recorder what happens in a session. It leaves the same recording as [`record`](super::record) of the finished run.
+/// Tells a recorder what happens in a session. The recording is the same as that of [`record`](super::record) after the run.
 pub struct SessionRecorder<'a, R> {
     preamble: Preamble<'a>,
     recorder: R,
@@ -14,7 +14,7 @@ pub struct SessionRecorder<'a, R> {
 }
 
 impl<'a, R: Recorder> SessionRecorder<'a, R> {
-    /// Begins with a session that is about to begin. It tells the truth itself, in place of the preamble's.
+    /// For a session that is about to begin. The truth comes from the session, not from the preamble.
     pub fn new(preamble: Preamble<'a>, recorder: R) -> Self {
         Self { preamble, recorder, clock: Clock::default() }
     }
@@ -52,7 +52,7 @@ impl<'a, R: Recorder> SessionRecorder<'a, R> {
         })
     }
 
-    /// Tells what was made of the session, and gives the recorder back.
+    /// Tells the evaluation of the session, and gives the recorder back.
     pub fn evaluated(mut self, story: &Story<'_>) -> Result<R, RecordingError> {
         record_evaluation(story, &mut self.recorder)?;
         Ok(self.recorder)

@@ -1,46 +1,45 @@
-//! Reads a recording back: whole and as written, or not at all. What is recorded of the truth is never looked at.
+//! Reads a recording back: completely and as it was written, or not at all. The recorded truth of a simulation is never read.
 
 mod contents;
 
-use std::fs::File;
-use std::io::{BufReader, Read, Seek};
+use std::io::{Read, Seek};
 use std::path::Path;
 
 use nalgebra::Vector3;
-use prost::{Message, Name};
 
 use self::contents::Contents;
-use super::scan::{ReadError, Unprotected, check_integrity, check_magic, scan};
+use super::messages::lies_below;
+use super::records::{ReadError, Unprotected, read_records, with_file};
 use super::{Provenance, RecordingError};
 use calibrig_files::{InputError, Source};
 use calibrig_files::{Robot, parse_robot};
 use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::{SetKind, SetOutcome};
 
-/// A recording, as far as a replay needs it.
+/// What a replay needs of a recording.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recording {
-    /// Where it comes from; `None` where another program recorded it.
+    /// Where it comes from; `None` if another program recorded it.
     pub provenance: Option<Provenance>,
     /// The input files by role, named without their folder.
     pub sources: Vec<(String, Source)>,
-    /// What was measured; the identification set first, and never without an observation.
+    /// What was measured: the identification set first, with at least one observation.
     pub sets: Vec<SetOutcome>,
-    /// What of the session is not there: a recording that was cut short.
+    /// What is missing from the session, in a recording that was cut short.
     pub missing: Vec<MissingPart>,
-    /// Whether it is what `recover` saved of a damaged file.
+    /// Whether `recover` saved it from a damaged file.
     pub recovered: bool,
-    /// What of the file is under no checksum.
+    /// What in the file no checksum covers.
     pub unprotected: Unprotected,
-    /// What was made of it then, by mode.
+    /// The recorded estimates, by mode.
     pub estimates: Vec<RecordedEstimate>,
 }
 
 impl Recording {
-    /// The robot that it holds, if any.
+    /// The robot in it, if there is one.
     pub fn robot(&self) -> Result<Option<Robot>, InputError> {
         let Some(robot) = self.source("robot") else { return Ok(None) };
-        // A map that was given beside the robot is no part of it.
+        // A column map that was given separately does not belong to the robot.
         let named = |key: &str| self.source(key).filter(|_| !robot.place_of(key).is_empty()).cloned();
         parse_robot(robot.clone(), named("urdf"), named("columns")).map(Some)
     }
@@ -51,14 +50,14 @@ impl Recording {
     }
 }
 
-/// A set that was not recorded to its end.
+/// A set that was not recorded to the end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MissingPart {
     /// The set.
     pub kind: SetKind,
-    /// Observations that are there.
+    /// Number of observations in the file.
     pub found: usize,
-    /// Observations that were made, or at least poses that were to be measured; `None` where the file does not say.
+    /// Number of observations that were made, or else of poses that were planned; `None` if the file states neither.
     pub expected: Option<usize>,
 }
 
@@ -96,15 +95,22 @@ pub struct RecordedParameter {
     pub sigma: Option<f64>,
 }
 
-/// What of a recording is read.
+/// Which parts of a recording are read.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct ReadOptions {
-    /// Topics that are left out, each with all below it: `/nest`, `/measurement/verification`.
+    /// Topics to leave out, each with everything below it: `/nest`, `/measurement/verification`.
     pub dropped_topics: Vec<String>,
 }
 
-/// Reads the recording at `path`. Where messages are under a checksum, as in all that calibrig writes, what is returned is what was written;
-/// what is under none is told ([`Recording::unprotected`]).
+impl ReadOptions {
+    /// Whether the messages on `topic` are left out.
+    fn drop(&self, topic: &str) -> bool {
+        self.dropped_topics.iter().any(|dropped| lies_below(topic, dropped))
+    }
+}
+
+/// Reads the recording at `path`. Messages under a checksum, as in every file of calibrig, are returned exactly as they were written;
+/// [`Recording::unprotected`] counts those without.
 ///
 /// # Errors
 /// The file is not an MCAP file, breaks off, is damaged, was written by another program or a later version, or lacks input files or
@@ -113,32 +119,18 @@ pub fn read_recording(path: &Path) -> Result<Recording, RecordingError> {
     read_recording_with(path, &ReadOptions::default())
 }
 
-/// The same without some of it. A topic that is dropped must be there.
+/// The same, without the topics that `options` leaves out. Each of them must exist.
 pub fn read_recording_with(path: &Path, options: &ReadOptions) -> Result<Recording, RecordingError> {
-    let unreadable = |source| RecordingError::Unreadable { path: path.to_path_buf(), source };
-    let mut file = BufReader::new(File::open(path).map_err(unreadable)?);
-    read_from(&mut file, options).map_err(|error| match error {
-        ReadError::Io(source) => unreadable(source),
-        ReadError::Recording(error) => error,
-    })
+    with_file(path, |file| read_from(file, options))
 }
 
 pub(super) fn read_from(
     file: &mut (impl Read + Seek),
     options: &ReadOptions,
 ) -> Result<Recording, ReadError> {
-    check_magic(file)?;
-    let unprotected = check_integrity(file)?;
     let mut contents = Contents::new(options);
-    scan(file, &mut |opcode, body| contents.record(opcode, body))?;
+    let unprotected = read_records(file, &mut |record| Ok(contents.record(record)?))?;
     Ok(Recording { unprotected, ..contents.finish()? })
-}
-
-pub(super) fn decode<M: Message + Name + Default>(schema: &str, data: &[u8]) -> Result<M, String> {
-    if schema != M::full_name() {
-        return Err(format!("its schema is {schema}, {} was expected", M::full_name()));
-    }
-    M::decode(data).map_err(|e| e.to_string())
 }
 
 #[cfg(test)]

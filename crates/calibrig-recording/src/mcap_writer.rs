@@ -23,13 +23,13 @@ use calibrig_estimation::evaluation::ModeOutcome;
 use calibrig_estimation::evaluation::closed_loop::ClosedLoop;
 use calibrig_model::measurement::{SetKind, SetOutcome};
 
-/// The longest record that is read back, bytes.
+/// Greatest length of a record that is read back, bytes.
 pub(super) const RECORD_LIMIT: usize = 64 << 20;
-/// A batch is put out when it holds this part of the poses so far, at least one pose: what a kill can cost stays small beside what is
-/// kept, and a long session is not cut into many chunks.
+/// Poses are flushed as soon as one in this many of all poses so far is waiting, at least one: a kill costs little, and a long session is not
+/// cut into many chunks.
 const BATCHES: u32 = 100;
 
-/// Writes an MCAP recording of `story`. The file is whole or not there.
+/// Writes an MCAP recording of `story`. The file is either complete or not written at all.
 ///
 /// # Errors
 /// The file cannot be written, or an input file is longer than 64 MiB.
@@ -45,16 +45,16 @@ pub fn write_mcap(story: &Story<'_>, path: &Path) -> Result<(), RecordingError> 
 trait Sink: Write + Seek {}
 impl<T: Write + Seek> Sink for T {}
 
-/// Writes MCAP to any seekable sink. It is not generic over the sink: what it does is compiled here, for speed, and not where it is called.
+/// Writes MCAP to any seekable sink. It is not generic over the sink, so that it is compiled in this crate, which is optimised for speed.
 pub struct McapRecorder<'a> {
     writer: Writer<Box<dyn Sink + 'a>>,
     /// Channel number and messages so far, by topic.
     channels: BTreeMap<String, (u16, u32)>,
-    /// A message in the making.
+    /// The message that is being encoded.
     buffer: Vec<u8>,
-    /// Poses measured, and those of them that are not put out.
+    /// Poses measured, and how many of them are not flushed.
     poses: (u32, u32),
-    /// The machine, until its first pose tells what of it yields.
+    /// The machine, until its first pose names the elastic parts.
     machine: Option<v1::AsBuilt>,
 }
 
@@ -85,7 +85,7 @@ impl<'a> McapRecorder<'a> {
         })
     }
 
-    /// Ends the file: all of it is handed to the sink, which is flushed.
+    /// Ends the file and flushes the sink.
     pub fn finish(mut self) -> Result<(), RecordingError> {
         self.writer.finish().map_err(RecordingError::unwritten)?;
         self.writer.into_inner().flush().map_err(RecordingError::unrecordable)

@@ -18,7 +18,7 @@ const SCHEMA_VERSION: u32 = 2;
 pub(super) const METADATA: &str = "calibrig";
 /// Name of the metadata record of a file that was saved from a damaged one.
 pub(super) const RECOVERED: &str = "calibrig_recovered";
-/// Name that a metadata record gets which does not fit its hash, in a file that was saved from a damaged one.
+/// New name of a metadata record that does not fit its hash, in a file that was saved from a damaged one.
 pub(super) const ALTERED: &str = "calibrig_altered";
 
 /// Where a recording comes from.
@@ -26,7 +26,7 @@ pub(super) const ALTERED: &str = "calibrig_altered";
 pub struct Provenance {
     /// Name and version of the program that wrote it.
     pub software: String,
-    /// Number of the method that made its estimates ([`calibrig_estimation::METHOD`]); 1 where it is not stated.
+    /// Number of the method that made its estimates ([`calibrig_estimation::METHOD`]); 1 if the recording does not state one.
     pub method: u32,
     /// `scenario`, `files` or `recording`.
     pub input_kind: String,
@@ -36,16 +36,16 @@ pub struct Provenance {
     pub input_sha256: String,
     /// The seed of a simulation.
     pub seed: Option<u64>,
-    /// Number of the simulation's trial and what stood for the machine; `None` too in schema 1.
+    /// Number of the simulation's trial, and the plant that stood for the machine; always `None` in schema 1.
     pub trial: Option<(u32, PlantKind)>,
     /// Hash over the recording's metadata and attachments, hexadecimal.
     pub provenance_sha256: String,
 }
 
-/// An input file as it lies in the recording: `role/file name` and its text.
+/// An input file as it is attached to the recording: `role/file name` and its text.
 pub(super) type AttachedInput = (String, String);
 
-/// The input files as attachments. Folders are left out of the names: the same run gives the same bytes wherever its files lie.
+/// The input files as attachments, named without folders: the same run gives the same bytes wherever its files are.
 pub(super) fn attached_inputs(sources: &[(String, Source)]) -> Vec<AttachedInput> {
     sources
         .iter()

@@ -1,4 +1,4 @@
-//! Saves what is sound of a damaged or unfinished file into a new, whole one.
+//! Saves the sound parts of a damaged or unfinished file into a new, complete one.
 
 use std::collections::HashMap;
 use std::io::{Read, Seek, SeekFrom, Write};
@@ -10,43 +10,40 @@ use sha2::{Digest, Sha256};
 
 use super::directory::{Definitions, Directory};
 use super::file::write_whole;
-use super::inspect::{Inspection, PASSES, Progress, ProvenanceState, State, Watched, inspect_file};
+use super::health::{FaultyPart, State};
+use super::inspect::{PASSES, Progress, Watched, inspect_file};
+use super::inspection::{Inspection, ProvenanceState};
 use super::mcap_writer::writer;
 use super::provenance::{ALTERED, METADATA, RECOVERED, hex};
-use super::scan::ReadError;
-use super::walk::{Part, walk};
+use super::records::{ReadError, walk};
 use super::{Provenance, RecordingError};
 
-/// What became of a file that was to be saved.
+/// The outcome of saving a file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recovered {
     /// What was found in it.
     pub inspection: Inspection,
-    /// Nothing was wrong with it: the new file is a copy.
+    /// Whether nothing was wrong with it and the new file is a copy.
     pub copied: bool,
 }
 
-/// Saves all that is sound of `bad` into the new file `good`, which is whole or not there. `progress` is told how far.
+/// Saves the sound parts of `bad` into the new file `good`, which is either complete or not written. `progress` is told how far it has come.
 ///
 /// # Errors
-/// `bad` cannot be read, is no MCAP file, or holds no message that can be read; `good` is `bad`, is there and not to be written over
-/// (`force`), or cannot be written.
+/// `bad` cannot be read, is not an MCAP file, or holds no readable message; `good` is the same file as `bad`, exists (without `force`), or
+/// cannot be written.
 pub fn recover(
     bad: &Path,
     good: &Path,
     force: bool,
     progress: &mut Progress<'_>,
 ) -> Result<Recovered, RecordingError> {
-    let unreadable = |source| RecordingError::Unreadable { path: bad.to_path_buf(), source };
+    let unreadable = |error: std::io::Error| ReadError::Io(error).of(bad);
     // Reading, then hashing and copying.
     let mut file = Watched::open(bad, PASSES + 2, progress).map_err(unreadable)?;
     check_target(bad, good, force)?;
     let name = bad.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-    let told = |error| match error {
-        ReadError::Io(source) => unreadable(source),
-        ReadError::Recording(error) => error,
-    };
-    let inspection = inspect_file(&mut file, name).map_err(told)?;
+    let inspection = inspect_file(&mut file, name).map_err(|error| error.of(bad))?;
     let copied = inspection.health.state == State::Whole;
     if copied {
         write_whole(good, |mut sink| {
@@ -56,12 +53,12 @@ pub fn recover(
         })?;
     } else if inspection.recoverable.messages == 0 {
         let (bytes, unread) = (inspection.bytes, inspection.health.bytes_unread);
-        let opaque = inspection.health.faults.iter().find(|fault| fault.part == Part::OpaqueChunk);
+        let opaque = inspection.health.faults.iter().find(|fault| fault.part == FaultyPart::OpaqueChunk);
         let why = opaque.map(|fault| fault.reason.clone());
         return Err(RecordingError::NothingToRecover { path: bad.to_path_buf(), bytes, unread, why });
     } else {
         let sha256 = sha256(&mut file).map_err(unreadable)?;
-        write_whole(good, |sink| save(&mut file, &inspection, sha256, sink).map_err(told))?;
+        write_whole(good, |sink| save(&mut file, &inspection, sha256, sink).map_err(|e| e.of(bad)))?;
     }
     Ok(Recovered { inspection, copied })
 }
@@ -75,7 +72,7 @@ fn check_target(bad: &Path, good: &Path, force: bool) -> Result<(), RecordingErr
     if good.is_dir() {
         return Err(RecordingError::IsFolder { path });
     }
-    // A link that leads nowhere is in the way, too.
+    // A broken symbolic link counts as existing, too.
     if !force && good.symlink_metadata().is_ok() {
         return Err(RecordingError::Exists { path });
     }
@@ -112,7 +109,7 @@ pub(super) fn save<W: Write + Seek>(
         messages: 0,
     };
     copy.metadata(&note(inspection, sha256))?;
-    walk(file, &directory, inspection.sound, &mut |_, record| Ok(copy.record(record)?))?;
+    walk(file, &directory, inspection.trust, &mut |_, record| Ok(copy.record(record)?))?;
     if copy.messages != inspection.recoverable.messages {
         return Err(std::io::Error::other("it changed while it was read").into());
     }
@@ -121,7 +118,7 @@ pub(super) fn save<W: Write + Seek>(
     Ok(())
 }
 
-/// What a saved file says of itself.
+/// The metadata record that marks a saved file.
 fn note(inspection: &Inspection, sha256: String) -> Metadata {
     let count = |part| inspection.health.lost.get(&part).copied().unwrap_or(0);
     let entries = [
@@ -129,7 +126,7 @@ fn note(inspection: &Inspection, sha256: String) -> Metadata {
         ("file", inspection.file.clone()),
         ("sha256", sha256),
         ("messages", inspection.recoverable.messages.to_string()),
-        ("chunks_lost", (count(Part::Chunk) + count(Part::OpaqueChunk)).to_string()),
+        ("chunks_lost", (count(FaultyPart::Chunk) + count(FaultyPart::OpaqueChunk)).to_string()),
         ("bytes_unread", inspection.health.bytes_unread.to_string()),
     ];
     let metadata = entries.map(|(key, value)| (key.to_owned(), value)).into();
@@ -142,7 +139,7 @@ struct Copy<W: Write + Seek> {
     definitions: Definitions,
     /// Channels of the new file by those of the old one.
     channels: HashMap<u16, u16>,
-    /// Whether the metadata of ours do not fit their hash.
+    /// Whether calibrig's metadata record does not fit its hash.
     altered: bool,
     messages: u64,
 }
@@ -151,7 +148,7 @@ impl<W: Write + Seek> Copy<W> {
     fn record(&mut self, record: Record<'_>) -> Result<(), RecordingError> {
         match record {
             Record::Metadata(mut metadata) => {
-                // Under its own name the reader would believe it, or refuse the file for it.
+                // Under the original name the reader would refuse the file.
                 if self.altered && metadata.name == METADATA {
                     ALTERED.clone_into(&mut metadata.name);
                 }
@@ -194,7 +191,7 @@ impl<W: Write + Seek> Copy<W> {
             .map_err(RecordingError::unwritten)
     }
 
-    /// The new number of a channel; `None` where nobody describes it.
+    /// The new number of a channel; `None` if the file does not describe the channel.
     fn channel(&mut self, id: u16) -> Result<Option<u16>, RecordingError> {
         if let Some(&known) = self.channels.get(&id) {
             return Ok(Some(known));

@@ -1,4 +1,4 @@
-//! What Rerun shows of errors and estimates as a whole.
+//! Errors and estimates of the whole run, in Rerun.
 
 use nalgebra::Vector3;
 use rerun::archetypes::{BarChart, Boxes2D, LineStrips2D, Points2D, SeriesLines, SeriesPoints, TextDocument};
@@ -6,28 +6,23 @@ use rerun::components::{Length, MarkerShape, Radius};
 
 use super::Story;
 use super::figures::{Bins, Correlations, approaches, group};
-use super::rerun_columns::Shown;
-use super::rerun_scene::{color, single};
-use super::rerun_sink::{AXES, NORM, RerunRecorder};
+use super::rerun_columns::{Shown, Time};
+use super::rerun_entities::{AXES, CONVERGENCE, CORRELATION, COST, NORM, color, histogram_path, single};
+use super::rerun_writer::EntityWriter;
 use super::scene::{self, Colour};
 use super::{RecordingError, tables};
 use calibrig_estimation::evaluation::ModeOutcome;
 use calibrig_estimation::identification::{Estimate, Mode};
-use calibrig_model::measurement::SetKind;
 
-pub(super) const HISTOGRAM: &str = "error_histogram";
-pub(super) const CORRELATION: &str = "correlation";
-pub(super) const CONVERGENCE: &str = "convergence";
-pub(super) const COST: &str = "cost_log10";
-/// Curves of one plot of parameters.
+/// Number of curves in a plot of parameters.
 const SLOWEST: usize = 6;
-/// Correlations that a table names.
+/// Number of correlations in a table.
 const STRONGEST: usize = 25;
-/// Of them, those that are numbered in the picture.
+/// How many of them are numbered in the picture.
 const NUMBERED: usize = 10;
-/// The weakest correlation that is drawn: a fifth of a disc's or a square's full width.
+/// The weakest correlation that is drawn: its mark is a fifth as wide as that of a full correlation.
 const WEAKEST: f64 = 0.04;
-/// Colours of parameters, which are further told apart by their marks.
+/// Colours of parameters; their marks differ, too.
 const COLOURS: [Colour; SLOWEST] = [
     [230, 159, 0, 255],
     [86, 180, 233, 255],
@@ -45,18 +40,13 @@ const MARKS: [MarkerShape; SLOWEST] = [
     MarkerShape::Plus,
 ];
 
-/// The bins of a mode's errors, the same for all modes that were identified: the others' errors are many times as large.
+/// The bins of a mode's errors. All identified modes share theirs; the errors of the others are many times larger.
 pub(super) fn bins(story: &Story<'_>, mode: &ModeOutcome) -> Option<Bins> {
     let alike = story.modes.iter().filter(|m| m.estimate.is_some() == mode.estimate.is_some());
     Bins::around(alike.flat_map(|m| m.errors.iter().flatten()))
 }
 
-/// Where the histogram of a mode's errors lies.
-pub(super) fn histogram_path(set: SetKind, mode: Mode, axis: &str) -> String {
-    format!("{HISTOGRAM}/{}/{}/{axis}", set.key(), mode.key())
-}
-
-impl RerunRecorder {
+impl EntityWriter {
     /// Errors of all modes on all sets, in 3-D and per axis.
     pub(super) fn histograms(&mut self, story: &Story<'_>) -> Result<(), RecordingError> {
         for mode in story.modes {
@@ -120,7 +110,7 @@ impl RerunRecorder {
         self.fixed(&format!("{root}/strongest"), &numbers)
     }
 
-    /// The diagonal, with what its parameters belong to.
+    /// The diagonal, labelled with the groups of the parameters.
     fn labelled_groups(&mut self, root: &str, estimate: &Estimate) -> Result<(), RecordingError> {
         let groups: Vec<_> = estimate.parameters.iter().map(|p| group(p.id)).collect();
         let (mut labels, mut places, mut steps) = (Vec::new(), Vec::new(), Vec::new());
@@ -129,7 +119,7 @@ impl RerunRecorder {
             let (from, to) = (start as f64 - 0.5, (start + run.len()) as f64 - 0.5);
             start += run.len();
             steps.push([[from, from], [to, from], [to, to]].map(|corner| corner.map(single)));
-            // Beside the steps, where no pair has its place.
+            // Beside the diagonal, where no pair is drawn.
             places.push([to + 0.06 * groups.len() as f64, f64::midpoint(from, to)].map(single));
             labels.extend(run.first().cloned());
         }
@@ -162,8 +152,8 @@ impl RerunRecorder {
             self.curve(path, &points.with_markers([mark]).with_marker_sizes([4.0]))?;
         }
         for (index, iteration) in estimate.iterations.iter().enumerate() {
-            self.at_iteration(index);
-            // Costs fall by many powers of ten; an exact fit has none.
+            self.at(Time::Iteration(i64::try_from(index).unwrap_or(i64::MAX).saturating_add(1)));
+            // Costs fall by many powers of ten; that of an exact fit is zero.
             self.logarithm(&format!("{COST}/{}", mode.key()), iteration.cost)?;
             for (path, way) in &slowest {
                 self.logarithm(path, way.distances[index])?;
@@ -172,7 +162,7 @@ impl RerunRecorder {
         Ok(())
     }
 
-    /// The decimal logarithm of `value`, where it has one.
+    /// The decimal logarithm of `value`, if it is finite.
     fn logarithm(&mut self, path: &str, value: f64) -> Result<(), RecordingError> {
         let exponent = value.log10();
         if exponent.is_finite() { self.put(path, Shown::Value(exponent)) } else { Ok(()) }

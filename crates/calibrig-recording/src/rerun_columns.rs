@@ -1,9 +1,8 @@
-//! What a Rerun file holds, kept in columns until the file is written: an entity is one chunk, however many poses it has rows for.
+//! The contents of a Rerun file, collected until it is written: all rows of an entity become one chunk, however many poses there are.
 
 use std::collections::HashMap;
 use std::iter::repeat_n;
 
-use nalgebra::UnitQuaternion;
 use rerun::archetypes::{Arrows3D, LineStrips3D, Points3D, Scalars, TextDocument, TextLog, Transform3D};
 use rerun::components::{MediaType, Radius, TextLogLevel};
 use rerun::external::arrow::array::ListArray;
@@ -12,16 +11,16 @@ use rerun::external::arrow::datatypes::Field;
 use rerun::external::re_log_types::{SetStoreInfo, StoreInfo};
 use rerun::log::{Chunk, ChunkComponents, ChunkId, LogMsg, RowId, TimeColumn};
 use rerun::{
-    AsComponents, EntityPath, Quaternion, SerializationResult, SerializedComponentBatch,
-    SerializedComponentColumn, StoreId,
+    AsComponents, EntityPath, SerializationResult, SerializedComponentBatch, SerializedComponentColumn,
+    StoreId,
 };
 
-use super::rerun_scene::{color, single, xyz};
+use super::rerun_entities::{color, quaternion, xyz};
 use super::scene::{Arrow, Colour};
 use super::{LogLevel, RecordingError};
 use calibrig_model::geometry::Transform;
 
-/// Most rows of a chunk: viewers load and cache whole chunks.
+/// Greatest number of rows in a chunk: viewers load and cache whole chunks.
 const MOST_ROWS: usize = 4096;
 
 /// When something is shown.
@@ -60,90 +59,78 @@ pub(super) enum Shown {
     Entry(LogLevel, String),
 }
 
-/// The parts of `rows` that `part` finds.
-fn parts<'a, T>(rows: &'a [Shown], part: impl Fn(&'a Shown) -> Option<T>) -> Vec<T> {
-    rows.iter().filter_map(part).collect()
+/// What `rows` hold, of those that have the form `form`.
+macro_rules! parts {
+    ($rows:expr, $form:pat => $part:expr) => {
+        $rows.iter().filter_map(|row| if let $form = row { Some($part) } else { None }).collect::<Vec<_>>()
+    };
 }
 
 /// The rows of one entity, all of one kind, as columns.
 pub(super) fn columns(rows: &[Shown]) -> SerializationResult<Vec<SerializedComponentColumn>> {
-    let mut columns = Vec::with_capacity(6);
-    let colours = || parts(rows, |row| row.style().map(|(colour, _)| color(colour)));
-    let radii = || parts(rows, |row| row.style().map(|(_, radius)| radius));
-    match rows.first() {
-        None => {}
+    let styles: Vec<_> = rows.iter().filter_map(Shown::style).collect();
+    let colours = || styles.iter().map(|(colour, _)| color(*colour));
+    let radii = || styles.iter().map(|(_, radius)| *radius);
+    Ok(match rows.first() {
+        None => Vec::new(),
         Some(Shown::Place(_)) => {
-            let places = parts(rows, |row| if let Shown::Place(place) = row { Some(place) } else { None });
-            let all = Transform3D::update_fields()
+            let places = parts!(rows, Shown::Place(place) => place);
+            Transform3D::update_fields()
                 .with_many_translation(places.iter().map(|place| xyz(&place.translation.vector)))
-                .with_many_quaternion(places.iter().map(|place| quaternion(place)));
-            columns.extend(all.columns_of_unit_batches()?);
+                .with_many_quaternion(places.iter().map(|place| quaternion(place)))
+                .columns_of_unit_batches()?
+                .collect()
         }
         Some(Shown::Lines { .. }) => {
-            let lines = parts(rows, |row| {
-                if let Shown::Lines { strips, .. } = row { Some(strips.as_slice()) } else { None }
-            });
-            let strips = lines.iter().copied().flatten().map(|strip| strip.iter().copied());
-            let all = LineStrips3D::update_fields().with_strips(strips);
-            columns.extend(all.columns(lines.iter().map(|strips| strips.len()))?);
+            let lines = parts!(rows, Shown::Lines { strips, .. } => strips);
+            let all = lines.iter().flat_map(|strips| strips.iter().map(|strip| strip.iter().copied()));
             let style = LineStrips3D::update_fields().with_colors(colours()).with_radii(radii());
-            columns.extend(style.columns_of_unit_batches()?);
+            let strips = LineStrips3D::update_fields().with_strips(all);
+            let strips = strips.columns(lines.iter().map(|strips| strips.len()))?;
+            strips.chain(style.columns_of_unit_batches()?).collect()
         }
         Some(Shown::Arrows { .. }) => {
-            let arrows = parts(rows, |row| {
-                if let Shown::Arrows { arrows, .. } = row { Some(arrows.as_slice()) } else { None }
-            });
-            let flat = || arrows.iter().copied().flatten();
-            let all = Arrows3D::update_fields()
-                .with_vectors(flat().map(|arrow| xyz(&arrow.vector)))
-                .with_origins(flat().map(|arrow| xyz(&arrow.origin)));
-            columns.extend(all.columns(arrows.iter().map(|arrows| arrows.len()))?);
+            let arrows = parts!(rows, Shown::Arrows { arrows, .. } => arrows);
+            let all = || arrows.iter().flat_map(|arrows| arrows.iter());
             let mut style = Arrows3D::update_fields().with_colors(colours()).with_radii(radii());
-            let labels =
-                parts(
-                    rows,
-                    |row| {
-                        if let Shown::Arrows { label, .. } = row { label.as_deref() } else { None }
-                    },
-                );
+            let labels = parts!(rows, Shown::Arrows { label: Some(label), .. } => label.as_str());
             if labels.len() == rows.len() {
                 style = style.with_labels(labels).with_many_show_labels(repeat_n(true, rows.len()));
             }
-            columns.extend(style.columns_of_unit_batches()?);
+            let vectors = Arrows3D::update_fields()
+                .with_vectors(all().map(|arrow| xyz(&arrow.vector)))
+                .with_origins(all().map(|arrow| xyz(&arrow.origin)));
+            let vectors = vectors.columns(arrows.iter().map(|arrows| arrows.len()))?;
+            vectors.chain(style.columns_of_unit_batches()?).collect()
         }
         Some(Shown::Points { .. }) => {
-            let points = parts(rows, |row| {
-                if let Shown::Points { points, .. } = row { Some(points.as_slice()) } else { None }
-            });
-            let all = Points3D::update_fields().with_positions(points.iter().copied().flatten().copied());
-            columns.extend(all.columns(points.iter().map(|points| points.len()))?);
+            let points = parts!(rows, Shown::Points { points, .. } => points);
             let style = Points3D::update_fields().with_colors(colours()).with_radii(radii());
-            columns.extend(style.columns_of_unit_batches()?);
+            let places = Points3D::update_fields().with_positions(points.iter().copied().flatten().copied());
+            let places = places.columns(points.iter().map(|points| points.len()))?;
+            places.chain(style.columns_of_unit_batches()?).collect()
         }
         Some(Shown::Value(_)) => {
-            let values = parts(rows, |row| if let Shown::Value(value) = row { Some(*value) } else { None });
-            columns.extend(Scalars::update_fields().with_scalars(values).columns_of_unit_batches()?);
+            let values = parts!(rows, Shown::Value(value) => *value);
+            Scalars::update_fields().with_scalars(values).columns_of_unit_batches()?.collect()
         }
         Some(Shown::Page(_)) => {
-            let pages =
-                parts(rows, |row| if let Shown::Page(text) = row { Some(text.as_str()) } else { None });
+            let pages = parts!(rows, Shown::Page(text) => text.as_str());
             let types = repeat_n(MediaType::markdown(), pages.len());
             let all = TextDocument::update_fields().with_many_text(pages).with_many_media_type(types);
-            columns.extend(all.columns_of_unit_batches()?);
+            all.columns_of_unit_batches()?.collect()
         }
         Some(Shown::Entry(..)) => {
-            let levels = parts(rows, |row| match row {
-                Shown::Entry(LogLevel::Info, _) => Some(TextLogLevel::INFO),
-                Shown::Entry(LogLevel::Warning, _) => Some(TextLogLevel::WARN),
-                _ => None,
-            });
-            let texts =
-                parts(rows, |row| if let Shown::Entry(_, text) = row { Some(text.as_str()) } else { None });
+            let level = |level: &LogLevel| match level {
+                LogLevel::Info => TextLogLevel::INFO,
+                LogLevel::Warning => TextLogLevel::WARN,
+            };
+            let levels = parts!(rows, Shown::Entry(of_row, _) => level(of_row));
+            let texts = parts!(rows, Shown::Entry(_, text) => text.as_str());
             let all = TextLog::update_fields().with_many_text(texts).with_many_level(levels);
-            columns.extend(all.columns_of_unit_batches()?);
+            all.columns_of_unit_batches()?.collect()
         }
-    }
-    Ok(columns)
+    })
 }
 
 impl Shown {
@@ -157,25 +144,21 @@ impl Shown {
     }
 }
 
-pub(super) fn quaternion(transform: &Transform) -> Quaternion {
-    let q = UnitQuaternion::from_rotation_matrix(&transform.rotation);
-    Quaternion::from_xyzw([q.i, q.j, q.k, q.w].map(single))
-}
-
-/// What is told of a run, by entity.
+/// The contents so far, by entity.
 pub(super) struct Columns {
     store: StoreInfo,
-    /// What has no time, and what is complete.
+    /// Chunks without time, and those that are full.
     chunks: Vec<Chunk>,
-    /// In the order in which they were first told of.
+    /// In the order of their first rows.
     entities: Vec<Entity>,
     indices: HashMap<String, usize>,
     now: Time,
 }
 
+#[derive(Default)]
 struct Entity {
     path: String,
-    /// What holds from the first row on.
+    /// Valid from the first row on.
     from_first: Vec<SerializedComponentBatch>,
     times: Vec<Time>,
     rows: Vec<Shown>,
@@ -205,7 +188,7 @@ impl Columns {
         Ok(())
     }
 
-    /// What a curve looks like. It lies in the curve's first row: one chunk less than beside it.
+    /// What a curve looks like. This goes into the first row of the curve, which saves a chunk.
     pub(super) fn curve(&mut self, path: &str, look: &impl AsComponents) {
         let look = look.as_serialized_batches();
         self.entity(path).from_first.extend(look);
@@ -224,23 +207,15 @@ impl Columns {
     }
 
     fn entity(&mut self, path: &str) -> &mut Entity {
-        let index = match self.indices.get(path) {
-            Some(index) => *index,
-            None => {
-                self.indices.insert(path.to_owned(), self.entities.len());
-                self.entities.push(Entity {
-                    path: path.to_owned(),
-                    from_first: Vec::new(),
-                    times: Vec::new(),
-                    rows: Vec::new(),
-                });
-                self.entities.len() - 1
-            }
-        };
+        let index = self.indices.get(path).copied().unwrap_or_else(|| {
+            self.indices.insert(path.to_owned(), self.entities.len());
+            self.entities.push(Entity { path: path.to_owned(), ..Entity::default() });
+            self.entities.len() - 1
+        });
         &mut self.entities[index]
     }
 
-    /// All of it, in an order that only depends on what was told.
+    /// All messages, in an order that depends on the contents only.
     pub(super) fn messages(mut self) -> Result<Vec<LogMsg>, RecordingError> {
         let mut messages = vec![opening(&self.store)];
         for entity in &mut self.entities {
@@ -267,19 +242,13 @@ impl Entity {
 }
 
 fn timelines(times: &[Time]) -> Vec<TimeColumn> {
-    let part = |part: fn(&Time) -> Option<i64>| -> Vec<i64> { times.iter().filter_map(part).collect() };
-    match times.first() {
-        None => Vec::new(),
-        Some(Time::Pose { .. }) => {
-            let numbers =
-                part(|time| if let Time::Pose { number, .. } = time { Some(*number) } else { None });
-            let nanos = part(|time| if let Time::Pose { nanos, .. } = time { Some(*nanos) } else { None });
-            vec![TimeColumn::new_sequence("pose", numbers), TimeColumn::new_duration_nanos("sim_time", nanos)]
-        }
-        Some(Time::Iteration(_)) => {
-            let iterations = part(|time| if let Time::Iteration(index) = time { Some(*index) } else { None });
-            vec![TimeColumn::new_sequence("iteration", iterations)]
-        }
+    let numbers = parts!(times, Time::Pose { number, .. } => *number);
+    let nanos = parts!(times, Time::Pose { nanos, .. } => *nanos);
+    let iterations = parts!(times, Time::Iteration(index) => *index);
+    if numbers.is_empty() {
+        vec![TimeColumn::new_sequence("iteration", iterations)]
+    } else {
+        vec![TimeColumn::new_sequence("pose", numbers), TimeColumn::new_duration_nanos("sim_time", nanos)]
     }
 }
 
@@ -298,7 +267,7 @@ fn first_of(batch: SerializedComponentBatch, rows: usize) -> SerializedComponent
     SerializedComponentColumn::new(list, batch.descriptor)
 }
 
-/// A chunk; without times it always holds.
+/// A chunk; without times it is valid at all times.
 pub(super) fn chunk(
     path: EntityPath,
     times: Vec<TimeColumn>,
@@ -309,7 +278,7 @@ pub(super) fn chunk(
     Chunk::from_auto_row_ids(ChunkId::new(), path, times, components).map_err(RecordingError::unrecordable)
 }
 
-/// What makes the store known.
+/// The message that introduces a store.
 pub(super) fn opening(store: &StoreInfo) -> LogMsg {
     LogMsg::SetStoreInfo(SetStoreInfo { row_id: *RowId::new(), info: store.clone() })
 }

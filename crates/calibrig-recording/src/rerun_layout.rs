@@ -10,15 +10,13 @@ use rerun::log::{LogMsg, TimeColumn};
 use rerun::{AsComponents, EntityPath, RecordingStreamBuilder, SerializedComponentBatch, StoreId};
 
 use super::RecordingError;
-use super::Story;
 use super::rerun_columns::{chunk, message, opening, whole};
-use super::rerun_sink::APPLICATION;
-use super::rerun_views::{self, Setting};
+use super::rerun_entities::APPLICATION;
 
-/// Of the viewer's playback.
+/// Speed of the viewer's playback.
 const POSES_PER_SECOND: f64 = 4.0;
 
-/// Whether a layout is for viewers without one of their own, or takes the place of what is shown.
+/// Whether a layout is only for viewers that have none, or replaces the present one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Force {
     Default,
@@ -28,7 +26,7 @@ pub(super) enum Force {
 /// A view, or what holds several.
 pub(super) enum Node {
     View(View),
-    Group(Group),
+    Container(Container),
 }
 
 /// Something to look at.
@@ -37,15 +35,15 @@ pub(super) struct View {
     name: String,
     origin: String,
     contents: Vec<String>,
-    /// What is set beneath it: name, values.
+    /// Its properties: name and values.
     properties: Vec<(String, Vec<SerializedComponentBatch>)>,
 }
 
 /// Views and groups side by side, one upon the other, in a grid or in tabs.
-pub(super) struct Group {
+pub(super) struct Container {
     kind: ContainerKind,
     name: Option<String>,
-    /// Of the width or the height.
+    /// Shares of the width or the height.
     shares: Vec<f32>,
     columns: Option<u32>,
     contents: Vec<Node>,
@@ -70,7 +68,7 @@ impl View {
     }
 }
 
-impl Group {
+impl Container {
     pub(super) fn new(kind: ContainerKind, contents: impl IntoIterator<Item = Node>) -> Self {
         let contents = contents.into_iter().collect();
         Self { kind, name: None, shares: Vec::new(), columns: None, contents }
@@ -95,26 +93,17 @@ impl From<View> for Node {
     }
 }
 
-impl From<Group> for Node {
-    fn from(group: Group) -> Self {
-        Self::Group(group)
+impl From<Container> for Node {
+    fn from(container: Container) -> Self {
+        Self::Container(container)
     }
 }
 
-/// The messages of the layout for `story`. They are told before the recording.
-pub(super) fn messages(story: &Story<'_>, force: Force) -> Result<Vec<LogMsg>, RecordingError> {
-    messages_of(&rerun_views::tabs(story), force)
-}
-
-/// The same for a session while it is measured.
-pub(super) fn session(setting: &Setting) -> Result<Vec<LogMsg>, RecordingError> {
-    messages_of(&rerun_views::session(setting), Force::Active)
-}
-
-fn messages_of(root: &Group, force: Force) -> Result<Vec<LogMsg>, RecordingError> {
+/// The messages of a layout. They are told before the recording.
+pub(super) fn messages(root: &Container, force: Force) -> Result<Vec<LogMsg>, RecordingError> {
     let (_, store, ..) = RecordingStreamBuilder::new(APPLICATION).blueprint().into_args();
     let mut plan = Plan { messages: vec![opening(&store)], store: store.store_id, places: 0 };
-    let (_, root) = plan.group(root)?;
+    let (_, root) = plan.container(root)?;
     plan.put("viewport", &ViewportBlueprint::new().with_root_container(root).with_auto_views(false))?;
     let collapsed = PanelState::Collapsed;
     for panel in ["blueprint_panel", "selection_panel"] {
@@ -123,11 +112,11 @@ fn messages_of(root: &Group, force: Force) -> Result<Vec<LogMsg>, RecordingError
     let mut time =
         TimePanelBlueprint::new().with_state(collapsed).with_timeline("pose").with_fps(POSES_PER_SECOND);
     if force == Force::Active {
-        // What is shown live is shown at its end.
+        // A live view follows the newest pose.
         time = time.with_play_state(PlayState::Following);
     }
     plan.put("time_panel", &time)?;
-    // The last one puts it into force.
+    // The last message activates the layout.
     plan.messages.push(LogMsg::BlueprintActivationCommand(BlueprintActivationCommand {
         blueprint_id: plan.store,
         make_active: force == Force::Active,
@@ -136,7 +125,7 @@ fn messages_of(root: &Group, force: Force) -> Result<Vec<LogMsg>, RecordingError
     Ok(plan.messages)
 }
 
-/// A layout while it is put into messages.
+/// A layout while it is turned into messages.
 struct Plan {
     store: StoreId,
     messages: Vec<LogMsg>,
@@ -157,7 +146,7 @@ impl Plan {
         Ok(())
     }
 
-    /// A path under `root` that no other place has, and its identity.
+    /// A new path under `root`, and its identity.
     fn place(&mut self, root: &str) -> (String, Uuid) {
         self.places += 1;
         let bytes = self.places.to_be_bytes();
@@ -169,7 +158,7 @@ impl Plan {
     fn node(&mut self, node: &Node) -> Result<String, RecordingError> {
         match node {
             Node::View(view) => self.view(view),
-            Node::Group(group) => self.group(group).map(|(path, _)| path),
+            Node::Container(container) => self.container(container).map(|(path, _)| path),
         }
     }
 
@@ -187,26 +176,26 @@ impl Plan {
         Ok(path)
     }
 
-    fn group(&mut self, group: &Group) -> Result<(String, Uuid), RecordingError> {
-        let mut contents = Vec::with_capacity(group.contents.len());
-        for node in &group.contents {
+    fn container(&mut self, container: &Container) -> Result<(String, Uuid), RecordingError> {
+        let mut contents = Vec::with_capacity(container.contents.len());
+        for node in &container.contents {
             contents.push(self.node(node)?);
         }
-        let mut looks = ContainerBlueprint::new(group.kind);
-        if let Some(name) = &group.name {
+        let mut looks = ContainerBlueprint::new(container.kind);
+        if let Some(name) = &container.name {
             looks = looks.with_display_name(name.as_str());
         }
         if !contents.is_empty() {
             looks = looks.with_contents(contents);
         }
-        if !group.shares.is_empty() {
-            let shares = group.shares.iter().copied();
-            looks = match group.kind {
+        if !container.shares.is_empty() {
+            let shares = container.shares.iter().copied();
+            looks = match container.kind {
                 ContainerKind::Vertical => looks.with_row_shares(shares),
                 _ => looks.with_col_shares(shares),
             };
         }
-        if let Some(columns) = group.columns {
+        if let Some(columns) = container.columns {
             looks = looks.with_grid_columns(columns);
         }
         let (path, id) = self.place("container");

@@ -1,4 +1,4 @@
-//! The story of a run, told to an open Rerun viewer while it goes on.
+//! Shows a run in an open Rerun viewer while it goes on.
 
 use std::net::{TcpStream, ToSocketAddrs};
 use std::sync::Arc;
@@ -11,26 +11,27 @@ use rerun::log::{ChunkBatcherConfig, LogMsg};
 use rerun::sink::{GrpcSink, GrpcSinkConnectionState, LogSink, SinkFlushError};
 
 use super::Story;
-use super::rerun_layout::{self, Force};
+use super::rerun_layout::Force;
 use super::rerun_sink::RerunRecorder;
-use super::rerun_views::Setting;
+use super::rerun_views::{self, Setting};
+use super::rerun_writer::EntityWriter;
 use super::scene::{self, Sighting};
 use super::{Chain, ChainKind, LogEntry, Measured, PoseStep, Preamble, Recorder, RecordingError};
 use calibrig_estimation::evaluation::ModeOutcome;
 use calibrig_estimation::evaluation::closed_loop::ClosedLoop;
 use calibrig_model::CalibrationModel;
 use calibrig_model::geometry::Transform;
-use calibrig_model::measurement::{Observation, SetKind, SetOutcome};
+use calibrig_model::measurement::{Observation, SetOutcome};
 use calibrig_plant::AsBuilt;
 
-/// Where a viewer listens unless told otherwise.
+/// Default address of a viewer.
 pub const VIEWER_URL: &str = "rerun+http://127.0.0.1:9876/proxy";
 
-/// How long a viewer may take to answer.
+/// How long to wait for a viewer's answer.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// Between two looks whether it does.
+/// Pause between two looks for the answer.
 const GLANCE: Duration = Duration::from_millis(10);
-/// How long it may take to read what is under way at the end.
+/// How long to wait at the end, until the viewer has read everything.
 const LAST_PATIENCE: Duration = Duration::from_secs(20);
 
 /// Reads the address of a viewer.
@@ -42,13 +43,13 @@ pub fn viewer_url(text: &str) -> Result<String, RecordingError> {
     }
 }
 
-/// A way to a viewer.
+/// A connection to a viewer.
 trait Line: Send + Sync + 'static {
     /// Queues a message.
     fn send(&self, message: LogMsg);
-    /// Waits until all messages are through.
+    /// Waits until all messages are sent.
     fn flush(&self, timeout: Duration) -> Result<(), SinkFlushError>;
-    /// Why nothing more gets through, if so.
+    /// Why the connection is broken, if it is.
     fn loss(&self) -> Option<String>;
 }
 
@@ -88,7 +89,7 @@ impl Viewer {
             reason,
             version: rerun::build_info().version.to_string(),
         };
-        // Asked first by itself: the sink tries again and again without a word.
+        // Checked first: the sink would retry for ever, without an error.
         reachable(&uri).map_err(|error| absent(error.to_string()))?;
         let sink = GrpcSink::new(uri);
         let mut waits = PATIENCE.as_millis() / GLANCE.as_millis();
@@ -116,12 +117,12 @@ fn reachable(uri: &ProxyUri) -> std::io::Result<()> {
     Err(last)
 }
 
-/// Lets go of what would otherwise wait for its viewer for ever when it is dropped.
+/// Leaks what would wait for its viewer for ever when dropped.
 fn abandon<T>(waiting: T) {
     std::mem::forget(waiting);
 }
 
-/// The line as a recording stream sees it: it never waits for ever.
+/// The connection as the sink of a recording stream. It never waits for ever.
 struct Wire(Arc<dyn Line>);
 
 impl LogSink for Wire {
@@ -138,7 +139,7 @@ impl LogSink for Wire {
     }
 }
 
-/// Tells a viewer. What goes wrong with the viewer never ends a run: the rest is not told, and [`finish`](Self::finish) says why.
+/// Shows a run in a viewer. Trouble with the viewer never ends the run: the rest is not shown, and [`finish`](Self::finish) says why.
 pub struct LiveRecorder {
     viewer: Viewer,
     /// From the session's opening on.
@@ -147,7 +148,7 @@ pub struct LiveRecorder {
     lost: Option<String>,
 }
 
-/// What the poses of a simulated session are drawn with.
+/// What is needed to draw the poses of a simulated session.
 struct Session {
     as_built: AsBuilt,
     /// `tracker_from_base`, one a station.
@@ -167,7 +168,7 @@ impl LiveRecorder {
         Wire(Arc::clone(&self.viewer.line))
     }
 
-    /// Keeps `result`, and the state of the connection.
+    /// Remembers why nothing more can be shown: an error, or the loss of the connection.
     fn note(&mut self, result: Result<(), RecordingError>) {
         let told = result.err().map(|error| error.to_string());
         self.lost = told.or_else(|| self.viewer.line.loss());
@@ -182,7 +183,7 @@ impl LiveRecorder {
         }
     }
 
-    /// The machine before it moves. In front of it goes the layout, in which everything will appear.
+    /// Sends the layout, then the machine before it moves.
     fn open_session(&mut self, preamble: &Preamble<'_>) -> Result<(), RecordingError> {
         let (as_built, trackers) = match preamble.truth {
             Some(truth) => {
@@ -198,11 +199,13 @@ impl LiveRecorder {
             rod: preamble.model.actuators.four_bar().is_some(),
         };
         let wire = self.wire();
-        wire.send_all(rerun_layout::session(&setting)?);
-        let recorder = self.recorder.insert(RerunRecorder::telling(&preamble.input.name, Box::new(wire))?);
-        recorder.surroundings(&up, &trackers, Vec::new())?;
+        wire.send_all(rerun_views::session(&setting)?);
+        let recorder = self
+            .recorder
+            .insert(RerunRecorder::on(EntityWriter::telling(&preamble.input.name, Box::new(wire))?));
+        recorder.writer.surroundings(&up, &trackers, Vec::new())?;
         let Some(truth) = preamble.truth else { return Ok(()) };
-        recorder.robot(ChainKind::True, preamble.visuals)?;
+        recorder.writer.robot(ChainKind::True, preamble.visuals)?;
         recorder.machine_curves()?;
         self.session = Some(Session {
             as_built: truth.as_built.clone(),
@@ -222,13 +225,13 @@ impl LiveRecorder {
 
     fn close(&mut self) {
         let Some(recorder) = self.recorder.take() else { return };
-        let Some(stream) = recorder.into_stream() else { return };
+        let EntityWriter::Stream(stream) = recorder.writer else { return };
         if self.lost.is_none() {
             let flushed = stream.flush_with_timeout(LAST_PATIENCE).map_err(RecordingError::unrecordable);
             self.note(flushed);
         }
         if self.lost.is_some() && self.viewer.line.loss().is_none() {
-            // It is there and does not read.
+            // The viewer is still connected, but does not read.
             abandon((stream, Arc::clone(&self.viewer.line)));
         }
     }
@@ -280,19 +283,10 @@ impl Recorder for LiveRecorder {
         Ok(())
     }
 
-    // The evaluation tells of them.
-    fn dropped(&mut self, _: u64, _: SetKind, _: u32, _: &str) -> Result<(), RecordingError> {
-        Ok(())
-    }
-
-    fn set_end(&mut self, _: u64, _: SetKind, _: usize) -> Result<(), RecordingError> {
-        Ok(())
-    }
-
     fn begin(&mut self, story: &Story<'_>) -> Result<(), RecordingError> {
         if self.lost.is_none() {
-            let layout = rerun_layout::messages(story, Force::Active);
-            self.tell(|recorder| layout.map(|messages| recorder.lay_out(messages)));
+            let layout = rerun_views::layout(story, Force::Active);
+            self.tell(|recorder| layout.map(|messages| recorder.writer.lay_out(messages)));
         }
         self.tell(|recorder| recorder.begin(story));
         Ok(())

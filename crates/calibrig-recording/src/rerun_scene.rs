@@ -1,14 +1,15 @@
-//! What Rerun draws in space.
+//! The pictures in space that Rerun draws.
 
 use nalgebra::Vector3;
 use rerun::archetypes::{
     Arrows3D, Boxes3D, Cylinders3D, Ellipsoids3D, LineStrips3D, Points3D, ViewCoordinates,
 };
-use rerun::components::{Color, FillMode, Radius};
+use rerun::components::{FillMode, Radius};
 
 use super::Story;
-use super::rerun_columns::{Shown, quaternion};
-use super::rerun_sink::{ARROWS, DEFLECTED, DRIVEN_PATH, PATH, RerunRecorder, SCENE};
+use super::rerun_columns::Shown;
+use super::rerun_entities::{ARROWS, DEFLECTED, DRIVEN_PATH, PATH, SCENE, color, quaternion, single, xyz};
+use super::rerun_writer::EntityWriter;
 use super::scene::{self, Arrow, Colour, Sighting};
 use super::{Chain, ChainKind, DEFLECTION_SCALE, Measured, RESIDUAL_SCALE, RecordingError};
 use calibrig_estimation::evaluation::closed_loop::DrivenPath;
@@ -16,11 +17,11 @@ use calibrig_estimation::identification::Mode;
 use calibrig_model::geometry::Transform;
 use calibrig_model::{Visual, VisualShape};
 
-/// Length of the bars that show the scale of what is drawn larger than life, m.
+/// Length of the bars that show the scale of enlarged errors and deflections, m.
 const SCALE_BAR: f64 = 0.5;
 
-impl RerunRecorder {
-    /// What does not move, and which way is up: trackers at `trackers`, nests.
+impl EntityWriter {
+    /// What does not move: the trackers and nests, and which way is up.
     pub(super) fn surroundings(
         &mut self,
         up: &Vector3<f64>,
@@ -46,7 +47,7 @@ impl RerunRecorder {
         self.scales(up, places.first().copied().unwrap_or_default())
     }
 
-    /// The links' shapes, on the robot that `kind` shows.
+    /// The links' shapes of the robot `kind`.
     pub(super) fn robot(&mut self, kind: ChainKind, visuals: &[Vec<Visual>]) -> Result<(), RecordingError> {
         for (i, visuals) in visuals.iter().enumerate() {
             let link = if i == 0 { format!("{SCENE}/base") } else { link_path(kind, i - 1) };
@@ -88,7 +89,7 @@ impl RerunRecorder {
         Ok(())
     }
 
-    /// Bars over `place` that show how long an error or a deflection is drawn.
+    /// Bars above `place` that show the scale of errors and deflections.
     fn scales(&mut self, up: &Vector3<f64>, place: Vector3<f64>) -> Result<(), RecordingError> {
         let mut bar = |path: &str, what: &str, scale: f64, colour: Colour| {
             let along = SCALE_BAR * scene::across(up).into_inner();
@@ -104,7 +105,7 @@ impl RerunRecorder {
         bar(&format!("{DEFLECTED}/scale"), "deflection", DEFLECTION_SCALE, scene::DEFLECTED)
     }
 
-    /// A path as it was to be, and as it was measured with the commands of every mode.
+    /// A path as planned, and as measured with the commands of every mode.
     pub(super) fn driven_path(&mut self, path: &DrivenPath) -> Result<(), RecordingError> {
         let strip = |points: &[Vector3<f64>], colour: Colour| {
             LineStrips3D::new([points.iter().map(xyz).collect::<Vec<_>>()])
@@ -121,7 +122,7 @@ impl RerunRecorder {
         Ok(())
     }
 
-    /// All measured points and all arrows: they do not change with the pose.
+    /// All measured points and all residual arrows, which do not change with the pose.
     pub(super) fn all_measured(&mut self, story: &Story<'_>) -> Result<(), RecordingError> {
         for (index, set) in story.sets.iter().enumerate() {
             let key = set.kind.key();
@@ -142,12 +143,12 @@ impl RerunRecorder {
         Ok(())
     }
 
-    /// A robot: with its links' shapes, or as a line alone.
+    /// A robot: with its links' shapes, or only as a line.
     pub(super) fn chain(&mut self, chain: &Chain, ghost: bool) -> Result<(), RecordingError> {
         for (i, link) in chain.links.iter().enumerate().filter(|_| !ghost) {
             self.put(&link_path(chain.kind, i), Shown::Place(*link))?;
         }
-        // Beside the machine, the calibrated robot has to be told from it.
+        // Another colour tells the calibrated robot from the machine beside it.
         let beside = ghost && chain.kind == ChainKind::Calibrated;
         let colour = if beside { scene::mode_colour(Mode::Extended) } else { chain.kind.colour() };
         let root = format!("{SCENE}/{}", chain.kind.key());
@@ -165,7 +166,7 @@ impl RerunRecorder {
         Ok(())
     }
 
-    /// How far the target gives way, as long as the machine larger than life has it.
+    /// The deflection of the target, enlarged like that of the machine.
     pub(super) fn deflection(&mut self, measured: &Measured<'_>) -> Result<(), RecordingError> {
         let (Some(deflection), Some(rigid)) = (measured.deflection(0), measured.rigid.first()) else {
             return Ok(());
@@ -196,7 +197,7 @@ impl RerunRecorder {
             radius: Radius::new_scene_units(0.05),
         };
         self.put(&format!("{SCENE}/target"), targets)?;
-        // Only of full poses: other recordings need no path for them.
+        // Only full poses have axes.
         for (place, (name, colour)) in ["x", "y", "z"].into_iter().zip(scene::AXES).enumerate() {
             let of_axis = sightings.iter().filter_map(|seen| seen.axes().nth(place));
             let arrows: Vec<Arrow> = of_axis.map(|(arrow, _)| arrow).collect();
@@ -218,20 +219,6 @@ fn arrows3d(arrows: &[Arrow], rgba: Colour, thickness: f32) -> Arrows3D {
         .with_origins(arrows.iter().map(|a| xyz(&a.origin)))
         .with_colors([color(rgba)])
         .with_radii([Radius::new_ui_points(thickness)])
-}
-
-/// Pictures are in single precision: 0.2 µm at 4 m.
-#[allow(clippy::cast_possible_truncation)]
-pub(super) fn single(value: f64) -> f32 {
-    value as f32
-}
-
-pub(super) fn xyz(v: &Vector3<f64>) -> [f32; 3] {
-    [single(v.x), single(v.y), single(v.z)]
-}
-
-pub(super) fn color([r, g, b, a]: Colour) -> Color {
-    Color::from_unmultiplied_rgba(r, g, b, a)
 }
 
 fn coordinates(up: &Vector3<f64>) -> ViewCoordinates {

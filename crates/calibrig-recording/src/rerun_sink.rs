@@ -1,54 +1,30 @@
-//! Rerun's own format, with a layout of its views: for looking at, not for replay.
+//! Recordings in Rerun's own format, with a layout of its views: for display, not for replay.
 
 use std::io::Write;
 use std::path::Path;
-use std::sync::Arc;
 
-use rerun::archetypes::{SeriesLines, TextDocument};
+use rerun::archetypes::SeriesLines;
 use rerun::components::Radius;
-use rerun::external::re_log_encoding::Encoder;
-use rerun::log::LogMsg;
-use rerun::sink::LogSink;
-use rerun::{AsComponents, RecordingStream, RecordingStreamBuilder, SerializedComponentBatch};
 
 use super::Story;
 use super::file::write_whole;
-use super::rerun_analysis::COST;
-use super::rerun_columns::{self, Columns, Shown, Time};
-use super::rerun_layout::{self, Force};
-use super::rerun_scene::color;
+use super::rerun_columns::{Shown, Time};
+use super::rerun_entities::{ARROWS, AXES, COST, DEFLECTION, NORM, ROD_FORCE, TEMPERATURE, color};
+use super::rerun_layout::Force;
+use super::rerun_views;
+use super::rerun_writer::EntityWriter;
 use super::scene::{self, Sighting};
 use super::{
-    Chain, ChainKind, LogEntry, Measured, PoseStep, Preamble, Recorder, RecordingError, record_evaluation,
-    tables,
+    Chain, ChainKind, LogEntry, Measured, PoseStep, Recorder, RecordingError, record_evaluation, tables,
 };
 use calibrig_estimation::evaluation::ModeOutcome;
 use calibrig_estimation::evaluation::closed_loop::ClosedLoop;
 use calibrig_estimation::identification::Mode;
-use calibrig_model::measurement::{SetKind, SetOutcome};
+use calibrig_model::measurement::SetKind;
 
-pub(super) const APPLICATION: &str = "calibrig";
-/// Root of all that is drawn in the base frame.
-pub(super) const SCENE: &str = "scene";
-/// Residual arrows; the scale is [`super::RESIDUAL_SCALE`].
-pub(super) const ARROWS: &str = "scene/residual_x100";
-pub(super) const AXES: [&str; 3] = ["x", "y", "z"];
-pub(super) const NORM: &str = "norm";
 const CURVES: [&str; 4] = ["x", "y", "z", NORM];
-/// The machine larger than life; the scale is [`super::DEFLECTION_SCALE`].
-pub(super) const DEFLECTED: &str = "scene/deflection_x100";
-/// The robot as identified.
-pub(super) const CALIBRATED: &str = "scene/calibrated";
-/// A path that was driven, as it was to be.
-pub(super) const PATH: &str = "scene/path";
-/// The same as measured; the scale of the errors is [`super::RESIDUAL_SCALE`].
-pub(super) const DRIVEN_PATH: &str = "scene/path_x100";
-/// Of the target, by all that yields.
-pub(super) const DEFLECTION: &str = "machine/deflection_mm";
-pub(super) const ROD_FORCE: &str = "machine/rod_force_n";
-pub(super) const TEMPERATURE: &str = "machine/temperature_c";
 
-/// Writes a Rerun recording of `story`. The file is whole or not there.
+/// Writes a Rerun recording of `story`. The file is either complete or not written at all.
 pub fn write_rrd(story: &Story<'_>, path: &Path) -> Result<(), RecordingError> {
     save_rrd(&rrd_of(story)?, path)
 }
@@ -60,7 +36,7 @@ pub fn rrd_of(story: &Story<'_>) -> Result<Vec<u8>, RecordingError> {
     recorder.finish()
 }
 
-/// Writes what [`rrd_of`] made. The file is whole or not there.
+/// Writes what [`rrd_of`] made. The file is either complete or not written at all.
 pub fn save_rrd(bytes: &[u8], path: &Path) -> Result<(), RecordingError> {
     write_whole(path, |mut file| {
         file.write_all(bytes).and_then(|()| file.flush()).map_err(RecordingError::unrecordable)
@@ -69,22 +45,14 @@ pub fn save_rrd(bytes: &[u8], path: &Path) -> Result<(), RecordingError> {
 
 /// Makes a Rerun recording: in memory, or in an open viewer ([`LiveRecorder`](super::LiveRecorder)).
 pub struct RerunRecorder {
-    way: Way,
-    /// Poses that were shown while they were measured.
+    pub(super) writer: EntityWriter,
+    /// Number of poses that were shown while they were measured.
     live: i64,
-    /// The poses that were told.
+    /// The poses so far.
     poses: Vec<Told>,
 }
 
-/// Where it goes.
-enum Way {
-    /// To a viewer, at once.
-    Stream(RecordingStream),
-    /// Into a file, when all is told. The layout comes first.
-    File { layout: Vec<LogMsg>, columns: Box<Columns> },
-}
-
-/// A pose that was told.
+/// A pose that was shown.
 #[derive(Debug, Clone, Copy)]
 struct Told {
     /// Running number, from 0.
@@ -109,116 +77,18 @@ impl Told {
 impl RerunRecorder {
     /// Begins a recording in memory, with views that suit `story`.
     pub fn new(story: &Story<'_>) -> Result<Self, RecordingError> {
-        let layout = rerun_layout::messages(story, Force::Default)?;
-        let (_, store, properties, ..) = builder(&story.input.name).into_args();
-        let columns = Box::new(Columns::new(store, &properties.unwrap_or_default())?);
-        Ok(Self::on(Way::File { layout, columns }))
+        let layout = rerun_views::layout(story, Force::Default)?;
+        Ok(Self::on(EntityWriter::in_memory(&story.input.name, layout)?))
     }
 
-    /// Begins a recording called `name` that `sink` is told at once.
-    pub(super) fn telling(name: &str, sink: Box<dyn LogSink>) -> Result<Self, RecordingError> {
-        let stream = builder(name)
-            .batcher_config(sink.default_batcher_config())
-            .buffered()
-            .map_err(RecordingError::unrecordable)?;
-        stream.set_sink(sink);
-        stream.set_log_time_enabled(false);
-        stream.set_log_tick_enabled(false);
-        Ok(Self::on(Way::Stream(stream)))
-    }
-
-    fn on(way: Way) -> Self {
-        Self { way, live: 0, poses: Vec::new() }
+    /// Tells what `writer` writes.
+    pub(super) fn on(writer: EntityWriter) -> Self {
+        Self { writer, live: 0, poses: Vec::new() }
     }
 
     /// The bytes of the file; none where a viewer was told.
     pub fn finish(self) -> Result<Vec<u8>, RecordingError> {
-        let mut encoder = Encoder::local().map_err(RecordingError::unrecordable)?;
-        for message in self.messages()? {
-            encoder.append(&message).map_err(RecordingError::unrecordable)?;
-        }
-        encoder.finish().map_err(RecordingError::unrecordable)?;
-        encoder.into_inner().map_err(RecordingError::unrecordable)
-    }
-
-    /// All that was told in memory.
-    fn messages(self) -> Result<Vec<LogMsg>, RecordingError> {
-        // In front: a viewer that has read a part of the recording first makes up a layout of its own and keeps it.
-        let Way::File { layout: mut messages, columns } = self.way else { return Ok(Vec::new()) };
-        messages.extend(columns.messages()?);
-        Ok(messages)
-    }
-
-    /// Queues a layout. A viewer that does not read holds up the stream's own thread, not the run.
-    pub(super) fn lay_out(&mut self, mut messages: Vec<LogMsg>) {
-        match &mut self.way {
-            Way::Stream(stream) => {
-                if let Some(LogMsg::BlueprintActivationCommand(activation)) = messages.pop() {
-                    stream.send_blueprint(messages, activation);
-                }
-            }
-            Way::File { layout, .. } => *layout = messages,
-        }
-    }
-
-    /// The stream to a viewer.
-    pub(super) fn into_stream(self) -> Option<RecordingStream> {
-        match self.way {
-            Way::Stream(stream) => Some(stream),
-            Way::File { .. } => None,
-        }
-    }
-
-    pub(super) fn fixed(&mut self, path: &str, shape: &impl AsComponents) -> Result<(), RecordingError> {
-        match &mut self.way {
-            Way::Stream(stream) => stream.log_static(path, shape).map_err(RecordingError::unrecordable),
-            Way::File { columns, .. } => columns.fixed(path, shape),
-        }
-    }
-
-    /// What the curve at `path` looks like.
-    pub(super) fn curve(&mut self, path: &str, look: &impl AsComponents) -> Result<(), RecordingError> {
-        match &mut self.way {
-            Way::Stream(_) => self.fixed(path, look),
-            Way::File { columns, .. } => {
-                columns.curve(path, look);
-                Ok(())
-            }
-        }
-    }
-
-    pub(super) fn put(&mut self, path: &str, shown: Shown) -> Result<(), RecordingError> {
-        match &mut self.way {
-            Way::Stream(stream) => {
-                let row = rerun_columns::columns(&[shown]).map_err(RecordingError::unrecordable)?;
-                let values = row.into_iter().map(|column| {
-                    SerializedComponentBatch::new(Arc::clone(column.list_array.values()), column.descriptor)
-                });
-                stream.log_serialized_batches(path, false, values).map_err(RecordingError::unrecordable)
-            }
-            Way::File { columns, .. } => columns.put(path, shown),
-        }
-    }
-
-    /// What follows belongs to iteration `index`, from 0.
-    pub(super) fn at_iteration(&mut self, index: usize) {
-        self.at(Time::Iteration(i64::try_from(index).unwrap_or(i64::MAX).saturating_add(1)));
-    }
-
-    /// What follows belongs to `time`.
-    fn at(&mut self, time: Time) {
-        match (&mut self.way, time) {
-            (Way::File { columns, .. }, time) => columns.at(time),
-            (Way::Stream(stream), Time::Pose { number, nanos }) => {
-                stream.reset_time();
-                stream.set_time_sequence("pose", number);
-                stream.set_duration_secs("sim_time", nanos as f64 * 1e-9);
-            }
-            (Way::Stream(stream), Time::Iteration(number)) => {
-                stream.reset_time();
-                stream.set_time_sequence("iteration", number);
-            }
-        }
+        self.writer.finish()
     }
 
     /// Names and colours of the curves.
@@ -230,10 +100,10 @@ impl RerunRecorder {
                 .with_colors([color(scene::mode_colour(mode.mode))])
                 .with_widths([1.5]);
             for axis in CURVES {
-                self.curve(&format!("residual_mm/{axis}/{key}"), &curve)?;
+                self.writer.curve(&format!("residual_mm/{axis}/{key}"), &curve)?;
             }
             if mode.estimate.is_some() {
-                self.curve(&format!("{COST}/{key}"), &curve)?;
+                self.writer.curve(&format!("{COST}/{key}"), &curve)?;
             }
         }
         if story.truth.is_some() { self.machine_curves() } else { Ok(()) }
@@ -251,13 +121,9 @@ impl RerunRecorder {
         ];
         for (path, name, rgba) in machine {
             let curve = SeriesLines::new().with_names([name]).with_colors([color(rgba)]).with_widths([1.5]);
-            self.curve(&path, &curve)?;
+            self.writer.curve(&path, &curve)?;
         }
         Ok(())
-    }
-
-    fn document(&mut self, path: &str, markdown: String) -> Result<(), RecordingError> {
-        self.fixed(path, &TextDocument::from_markdown(markdown))
     }
 
     /// A pose while it is measured, on the simulated machine.
@@ -267,12 +133,12 @@ impl RerunRecorder {
         chains: &[Chain],
         sightings: &[Sighting],
     ) -> Result<(), RecordingError> {
-        self.at(Told::of(self.live, measured).time());
+        self.writer.at(Told::of(self.live, measured).time());
         self.live += 1;
         self.seen(measured, chains, sightings)
     }
 
-    /// What is seen of a pose: robots, lines of sight, and how the simulated machine gives way.
+    /// The picture of a pose: robots, lines of sight, and the deflections of the simulated machine.
     fn seen(
         &mut self,
         measured: &Measured<'_>,
@@ -280,41 +146,41 @@ impl RerunRecorder {
         sightings: &[Sighting],
     ) -> Result<(), RecordingError> {
         for chain in chains {
-            self.chain(chain, chain.kind.is_ghost())?;
+            self.writer.chain(chain, chain.kind.is_ghost())?;
         }
-        self.sightings(sightings)?;
-        self.deflection(measured)?;
+        self.writer.sightings(sightings)?;
+        self.writer.deflection(measured)?;
         if let Some(deflection) = measured.deflection(0) {
             let norm = deflection.norm();
             for (axis, value) in CURVES.iter().zip(deflection.iter().chain([&norm])) {
-                self.put(&format!("{DEFLECTION}/{axis}"), Shown::Value(1e3 * value))?;
+                self.writer.put(&format!("{DEFLECTION}/{axis}"), Shown::Value(1e3 * value))?;
             }
         }
         let Some(settled) = measured.truth.first() else { return Ok(()) };
         if let Some(force) = settled.rod_force {
-            self.put(ROD_FORCE, Shown::Value(force))?;
+            self.writer.put(ROD_FORCE, Shown::Value(force))?;
         }
         if let Some(temperature) = measured.effects.first().and_then(|effects| effects.temperature) {
-            self.put(TEMPERATURE, Shown::Value(temperature))?;
+            self.writer.put(TEMPERATURE, Shown::Value(temperature))?;
         }
-        self.put("tables/machine", Shown::Page(tables::machine(measured)))
+        self.writer.put("tables/machine", Shown::Page(tables::machine(measured)))
     }
 
-    /// The robot before calibration and as identified at every pose, beside what was told of the pose itself.
+    /// The robot before calibration and as identified, at every pose so far.
     fn robots(&mut self, story: &Story<'_>) -> Result<(), RecordingError> {
         for told in self.poses.clone() {
             let Some(set) = story.sets.iter().find(|set| set.kind == told.set) else { continue };
             let Some(observation) = set.measurements.observations.get(told.first) else { continue };
-            self.at(told.time());
+            self.writer.at(told.time());
             if story.truth.is_some() {
                 if let Some(calibrated) = scene::calibrated_chain(story, observation) {
-                    self.chain(&calibrated, true)?;
+                    self.writer.chain(&calibrated, true)?;
                 }
             } else if let Some(target) = set.measurements.targets.get(observation.target)
-                // The calibrated one stands for the machine and was told with the pose.
+                // The calibrated robot stands for the machine and was shown with the pose.
                 && let Some(nominal) = scene::nominal_chain(story.model, &target.in_flange, observation)
             {
-                self.chain(&nominal, true)?;
+                self.writer.chain(&nominal, true)?;
             }
         }
         Ok(())
@@ -329,90 +195,69 @@ impl RerunRecorder {
                 radius: Radius::new_ui_points(3.0),
                 label: None,
             };
-            self.put(&format!("{ARROWS}/{key}/at_this_pose"), arrows)?;
+            self.writer.put(&format!("{ARROWS}/{key}/at_this_pose"), arrows)?;
             let Some(error) = residuals.errors.first() else { continue };
             for (axis, value) in AXES.iter().zip(error.iter()) {
-                self.put(&format!("residual_mm/{axis}/{key}"), Shown::Value(1e3 * value))?;
+                self.writer.put(&format!("residual_mm/{axis}/{key}"), Shown::Value(1e3 * value))?;
             }
-            self.put(&format!("residual_mm/norm/{key}"), Shown::Value(1e3 * error.norm()))?;
+            self.writer.put(&format!("residual_mm/norm/{key}"), Shown::Value(1e3 * error.norm()))?;
         }
         Ok(())
     }
 }
 
+// The session itself is left out: the file is written after the run, and the evaluation shows every pose.
 impl Recorder for RerunRecorder {
-    // The file is written when the run is over: its views show the session with what was made of it.
-    fn open(&mut self, _: &Preamble<'_>) -> Result<(), RecordingError> {
-        Ok(())
-    }
-    fn set(&mut self, _: u64, _: &SetOutcome, _: Option<u32>) -> Result<(), RecordingError> {
-        Ok(())
-    }
-    fn measured(&mut self, _: &Measured<'_>) -> Result<(), RecordingError> {
-        Ok(())
-    }
-    fn dropped(&mut self, _: u64, _: SetKind, _: u32, _: &str) -> Result<(), RecordingError> {
-        Ok(())
-    }
-    fn set_end(&mut self, _: u64, _: SetKind, _: usize) -> Result<(), RecordingError> {
-        Ok(())
-    }
-
     fn begin(&mut self, story: &Story<'_>) -> Result<(), RecordingError> {
         let solid = if story.truth.is_some() { ChainKind::True } else { ChainKind::Calibrated };
-        self.surroundings(&scene::up(story), &scene::trackers(story), scene::nests(story.sets))?;
-        self.robot(solid, story.visuals)?;
-        self.all_measured(story)?;
+        self.writer.surroundings(&scene::up(story), &scene::trackers(story), scene::nests(story.sets))?;
+        self.writer.robot(solid, story.visuals)?;
+        self.writer.all_measured(story)?;
         self.curves(story)?;
-        self.document("tables/accuracy", tables::about(story) + &tables::accuracy(story))?;
-        self.document("tables/parameters", tables::parameters(story))?;
-        self.document("tables/identification", tables::estimates(story))
+        self.writer.document("tables/accuracy", tables::about(story) + &tables::accuracy(story))?;
+        self.writer.document("tables/parameters", tables::parameters(story))?;
+        self.writer.document("tables/identification", tables::estimates(story))
     }
 
     fn pose(&mut self, step: &PoseStep<'_>) -> Result<(), RecordingError> {
         let told = Told::of(i64::from(step.number), &step.measured);
         self.poses.push(told);
-        self.at(told.time());
+        self.writer.at(told.time());
         if told.number >= self.live {
             self.seen(&step.measured, &step.chains, &step.sightings)?;
         }
         self.residuals(step)?;
-        self.put("tables/pose", Shown::Page(tables::pose(step)))
+        self.writer.put("tables/pose", Shown::Page(tables::pose(step)))
     }
 
     fn estimate(&mut self, _: u64, story: &Story<'_>, mode: &ModeOutcome) -> Result<(), RecordingError> {
         if let Some(estimate) = &mode.estimate {
-            self.correlations(mode.mode, estimate)?;
-            self.convergence(mode.mode, estimate)?;
+            self.writer.correlations(mode.mode, estimate)?;
+            self.writer.convergence(mode.mode, estimate)?;
         }
         if story.modes.last().is_some_and(|last| last.mode == mode.mode) {
-            self.histograms(story)?;
-            self.document("tables/convergence", tables::convergence(story))?;
+            self.writer.histograms(story)?;
+            self.writer.document("tables/convergence", tables::convergence(story))?;
             self.robots(story)?;
         }
         Ok(())
     }
 
     fn closed_loop(&mut self, _: u64, driven: &ClosedLoop) -> Result<(), RecordingError> {
-        self.document("tables/compensation", tables::compensation(driven))?;
-        driven.path.as_ref().map_or(Ok(()), |path| self.driven_path(path))
+        self.writer.document("tables/compensation", tables::compensation(driven))?;
+        driven.path.as_ref().map_or(Ok(()), |path| self.writer.driven_path(path))
     }
 
     fn log(&mut self, entry: &LogEntry) -> Result<(), RecordingError> {
         let number = self.poses.last().map_or(0, |told| told.number);
-        self.at(Time::Pose { number, nanos: signed(entry.time) });
-        self.put("log", Shown::Entry(entry.level, entry.message.clone()))
+        self.writer.at(Time::Pose { number, nanos: signed(entry.time) });
+        self.writer.put("log", Shown::Entry(entry.level, entry.message.clone()))
     }
 }
 
-/// Nanoseconds as Rerun counts them: good for 292 years.
+/// Nanoseconds as Rerun counts them: enough for 292 years.
 fn signed(nanos: u64) -> i64 {
     i64::try_from(nanos).unwrap_or(i64::MAX)
-}
-
-fn builder(name: &str) -> RecordingStreamBuilder {
-    // Whatever the environment says: the user asked for it.
-    RecordingStreamBuilder::new(APPLICATION).enabled(true).recording_name(name)
 }
 
 #[cfg(test)]
@@ -420,7 +265,7 @@ mod tests {
     use super::*;
     use std::collections::{BTreeMap, BTreeSet};
 
-    use rerun::log::Chunk;
+    use rerun::log::{Chunk, LogMsg};
 
     use crate::record;
     use crate::synthetic::{self, Outcome};
@@ -442,7 +287,7 @@ mod tests {
             timelines: BTreeSet::new(),
             activated: false,
         };
-        for message in recorder.messages().expect("told") {
+        for message in recorder.writer.messages().expect("told") {
             match message {
                 LogMsg::ArrowMsg(store, message) => {
                     let chunk = Chunk::from_arrow_msg(&message).expect("sound");
@@ -547,7 +392,7 @@ mod tests {
         let outcome = synthetic::outcome(3, 1, true);
         let mut recorder = RerunRecorder::new(&outcome.story()).expect("begun");
         record(&outcome.story(), &mut recorder).expect("recorded");
-        let messages = recorder.messages().expect("told");
+        let messages = recorder.writer.messages().expect("told");
         let first = messages.iter().position(|m| !m.store_id().is_blueprint()).expect("a recording");
         assert!(messages[first..].iter().all(|m| !m.store_id().is_blueprint()));
         assert!(matches!(messages[first - 1], LogMsg::BlueprintActivationCommand(_)));
@@ -560,7 +405,7 @@ mod tests {
         let told = || {
             let mut recorder = RerunRecorder::new(&outcome.story()).expect("begun");
             record(&outcome.story(), &mut recorder).expect("recorded");
-            let messages = recorder.messages().expect("told");
+            let messages = recorder.writer.messages().expect("told");
             let chunks = messages.into_iter().filter_map(|message| match message {
                 LogMsg::ArrowMsg(_, message) => Some(Chunk::from_arrow_msg(&message).expect("sound")),
                 _ => None,

@@ -4,36 +4,34 @@ use nalgebra::{Rotation3, Unit, Vector3};
 use rerun::blueprint::components::ContainerKind::{Grid, Horizontal, Tabs, Vertical};
 use rerun::external::re_sdk_types::blueprint::archetypes::{EntityBehavior, EyeControls3D, PlotLegend};
 use rerun::external::re_sdk_types::blueprint::components::Corner2D;
+use rerun::log::LogMsg;
 
+use super::RecordingError;
 use super::Story;
-use super::figures::Correlations;
-use super::rerun_analysis::{CONVERGENCE, CORRELATION, COST, bins, histogram_path};
-use super::rerun_layout::{Group, Node, View};
-use super::rerun_scene::xyz;
-use super::rerun_sink::{
-    ARROWS, AXES, CALIBRATED, DEFLECTED, DEFLECTION, DRIVEN_PATH, NORM, PATH, ROD_FORCE, SCENE, TEMPERATURE,
+use super::figures::{Correlations, identified};
+use super::rerun_analysis::bins;
+use super::rerun_entities::{
+    ARROWS, AXES, CALIBRATED, CONVERGENCE, CORRELATION, COST, DEFLECTED, DEFLECTION, DRIVEN_PATH, NORM, PATH,
+    ROD_FORCE, SCENE, TEMPERATURE, histogram_path, xyz,
 };
+use super::rerun_layout::{self, Container, Force, Node, View};
 use super::scene;
-use calibrig_estimation::identification::{Estimate, Mode};
+use calibrig_estimation::identification::Mode;
 use calibrig_model::measurement::SetOutcome;
 
-/// Half the angle that the eye is taken to see.
+/// Half the assumed angle of view, rad.
 const HALF_VIEW: f64 = 0.55;
-/// Left and right of a tab.
+/// Shares of the left and the right side of a tab.
 const SHARES: [f32; 2] = [3.0, 2.0];
 
-/// All views that suit `story`. The first tab is what one sees on opening.
-pub(super) fn tabs(story: &Story<'_>) -> Group {
+/// The messages of the layout for `story`. The first tab is what one sees on opening.
+pub(super) fn layout(story: &Story<'_>, force: Force) -> Result<Vec<LogMsg>, RecordingError> {
     let mut tabs = vec![robot(story)];
     tabs.extend(histograms(story));
     tabs.extend(machine(story));
     tabs.extend(compensated(story));
     tabs.extend(estimates(story));
-    Group::new(Tabs, tabs)
-}
-
-fn identified<'a>(story: &Story<'a>) -> impl Iterator<Item = (Mode, &'a Estimate)> {
-    story.modes.iter().filter_map(|m| Some((m.mode, m.estimate.as_ref()?)))
+    rerun_layout::messages(&Container::new(Tabs, tabs), force)
 }
 
 fn page(title: &str, origin: impl Into<String>) -> Node {
@@ -44,7 +42,7 @@ fn curves(title: impl Into<String>, origin: impl Into<String>) -> View {
     View::new("TimeSeries", title, origin)
 }
 
-/// Rerun's picture in space, seen by an eye that has all of `setting` before it.
+/// A view in space from which all of `setting` can be seen.
 fn picture(title: &str, setting: &Setting, drawn: Vec<String>) -> View {
     View::new("3D", title, SCENE).with_contents(drawn).set("EyeControls3D", &eye(setting))
 }
@@ -61,17 +59,17 @@ fn robot(story: &Story<'_>) -> Node {
     let title = "Robot; arrows: residuals x100, 10 cm for 1 mm";
     let mut picture = picture(title, &Setting::of(story), drawn);
     if story.truth.is_some() {
-        // On the machine's, but for millimetres: a click on its eye in the blueprint panel shows it.
+        // Only millimetres from the machine, so hidden: a click on its eye in the blueprint panel shows it.
         let place = format!("ViewContents/overrides/{CALIBRATED}/visualizers");
         picture = picture.set(place, &EntityBehavior::new().with_visible(false));
     }
     let log = View::new("TextLog", "Log", "log");
-    let left = Group::new(Vertical, [picture.into(), log.into()]).shared([4.0, 1.0]);
-    let right = Group::new(Vertical, [residuals(story), pages()]).shared([3.0, 2.0]);
-    Group::new(Horizontal, [left.into(), right.into()]).shared(SHARES).named("Robot and residuals").into()
+    let left = Container::new(Vertical, [picture.into(), log.into()]).shared([4.0, 1.0]);
+    let right = Container::new(Vertical, [residuals(story), pages()]).shared([3.0, 2.0]);
+    Container::new(Horizontal, [left.into(), right.into()]).shared(SHARES).named("Robot and residuals").into()
 }
 
-/// What lies under `root`, but for the modes before identification: their errors would hide what is left after it.
+/// What lies under `root`, without the modes before identification: their large errors would hide the small ones after it.
 fn shown(story: &Story<'_>, root: &str) -> Vec<String> {
     let uncalibrated = story.modes.iter().filter(|m| m.estimate.is_none());
     let mut contents = vec![format!("+ /{root}/**")];
@@ -86,11 +84,11 @@ fn residuals(story: &Story<'_>) -> Node {
         let root = format!("residual_mm/{axis}");
         let contents = shown(story, &root);
         let view = curves(format!("Residual {axis}, mm"), root).with_contents(contents);
-        // The three have the same curves: one legend serves them.
+        // All three have the same curves: one legend is enough.
         if index == 0 { view.into() } else { without_legend(view).into() }
     });
-    let axes = Group::new(Vertical, axes).named("Residuals").into();
-    Group::new(Tabs, [axes, curves("3-D error of all modes, mm", "residual_mm/norm").into()]).into()
+    let axes = Container::new(Vertical, axes).named("Residuals").into();
+    Container::new(Tabs, [axes, curves("3-D error of all modes, mm", "residual_mm/norm").into()]).into()
 }
 
 fn pages() -> Node {
@@ -100,10 +98,10 @@ fn pages() -> Node {
         ("Parameters", "tables/parameters"),
         ("Identification", "tables/identification"),
     ];
-    Group::new(Tabs, pages.map(|(title, path)| page(title, path))).into()
+    Container::new(Tabs, pages.map(|(title, path)| page(title, path))).into()
 }
 
-/// A row a mode: its errors in 3-D and per axis; the set that the fit has not seen first.
+/// One row a mode: its errors in 3-D and along each axis. The verification set comes first.
 fn histograms(story: &Story<'_>) -> Option<Node> {
     let bins: Vec<_> = story.modes.iter().filter_map(|mode| Some((mode.mode, bins(story, mode)?))).collect();
     let measured = |set: &&SetOutcome| !set.measurements.observations.is_empty();
@@ -121,13 +119,13 @@ fn histograms(story: &Story<'_>) -> Option<Node> {
         });
         let poses = set.measurements.observations.len();
         let name = format!("{} set, {poses} observations", set.kind.key());
-        Group::new(Grid, charts).in_columns(4).named(name).into()
+        Container::new(Grid, charts).in_columns(4).named(name).into()
     });
     let tabs: Vec<_> = tabs.collect();
-    (!tabs.is_empty()).then(|| Group::new(Tabs, tabs).named("Error histograms").into())
+    (!tabs.is_empty()).then(|| Container::new(Tabs, tabs).named("Error histograms").into())
 }
 
-/// How the simulated machine gives way.
+/// The deflections of the simulated machine.
 fn machine(story: &Story<'_>) -> Option<Node> {
     let truth = story.truth?;
     let drawn = vec![
@@ -147,29 +145,29 @@ fn machine(story: &Story<'_>) -> Option<Node> {
     Some(tab.named("Deflection x100").into())
 }
 
-/// What corrected commands did: the path with its errors larger than life, and the tables.
+/// The effect of corrected commands: the path with enlarged errors, and the tables.
 fn compensated(story: &Story<'_>) -> Option<Node> {
     let driven = story.closed_loop?;
     let tables = page("Commands corrected and driven again", "tables/compensation");
     if driven.path.is_none() {
-        return Some(Group::new(Tabs, [tables]).named("Compensated").into());
+        return Some(Container::new(Tabs, [tables]).named("Compensated").into());
     }
     let mut drawn = shown(story, DRIVEN_PATH);
     drawn.extend([format!("+ /{PATH}"), format!("+ /{SCENE}/trackers")]);
     let title = "Path as planned (white), and as measured with errors x100: 10 cm for 1 mm";
     let path = picture(title, &Setting::of(story), drawn).into();
-    Some(Group::new(Horizontal, [path, tables]).shared(SHARES).named("Compensated path x100").into())
+    Some(Container::new(Horizontal, [path, tables]).shared(SHARES).named("Compensated path x100").into())
 }
 
 /// A picture of the machine, and beside it its curves and its table.
-fn beside_machine(picture: View, rod: bool, temperature: bool) -> Group {
+fn beside_machine(picture: View, rod: bool, temperature: bool) -> Container {
     let deflection = Some(("Deflection at the target by elasticity, mm", DEFLECTION));
     let rod = rod.then_some(("Tension of the four-bar's rod, N", ROD_FORCE));
     let temperature = temperature.then_some(("Temperature of the air, °C", TEMPERATURE));
     let plots = [deflection, rod, temperature].into_iter().flatten();
-    let plots = Group::new(Vertical, plots.map(|(title, path)| curves(title, path).into()));
-    let right = Group::new(Vertical, [plots.into(), page("Machine at this pose", "tables/machine")]);
-    Group::new(Horizontal, [picture.into(), right.shared([3.0, 2.0]).into()]).shared(SHARES)
+    let plots = Container::new(Vertical, plots.map(|(title, path)| curves(title, path).into()));
+    let right = Container::new(Vertical, [plots.into(), page("Machine at this pose", "tables/machine")]);
+    Container::new(Horizontal, [picture.into(), right.shared([3.0, 2.0]).into()]).shared(SHARES)
 }
 
 fn estimates(story: &Story<'_>) -> Vec<Node> {
@@ -183,9 +181,9 @@ fn estimates(story: &Story<'_>) -> Vec<Node> {
     });
     let plots = std::iter::once(curves("log10 of the cost, all modes", COST)).chain(ways);
     let legend = PlotLegend::new().with_corner(Corner2D::RightTop);
-    let plots = Group::new(Grid, plots.map(|plot| plot.set("PlotLegend", &legend).into())).in_columns(2);
+    let plots = Container::new(Grid, plots.map(|plot| plot.set("PlotLegend", &legend).into())).in_columns(2);
     let convergence =
-        Group::new(Horizontal, [plots.into(), page("The way to the minimum", "tables/convergence")])
+        Container::new(Horizontal, [plots.into(), page("The way to the minimum", "tables/convergence")])
             .shared(SHARES)
             .named("Convergence (timeline: iteration)");
 
@@ -193,7 +191,7 @@ fn estimates(story: &Story<'_>) -> Vec<Node> {
     let pictures: Vec<_> = known.map(|(mode, _)| correlations(*mode)).collect();
     let mut tabs = vec![convergence.into()];
     if !pictures.is_empty() {
-        tabs.push(Group::new(Tabs, pictures).named("Correlations").into());
+        tabs.push(Container::new(Tabs, pictures).named("Correlations").into());
     }
     tabs
 }
@@ -202,23 +200,23 @@ fn correlations(mode: Mode) -> Node {
     let root = format!("{CORRELATION}/{}", mode.key());
     let page = page("Strongest correlations", format!("tables/{root}"));
     let picture = View::new("2D", "disc +, square -, area: strength", root).into();
-    Group::new(Horizontal, [picture, page]).shared(SHARES).named(mode.title()).into()
+    Container::new(Horizontal, [picture, page]).shared(SHARES).named(mode.title()).into()
 }
 
-/// The views of a session while it is measured: the machine, and how it gives way.
-pub(super) fn session(setting: &Setting) -> Group {
+/// The messages of the layout for a session while it is measured: the machine, and how it gives way.
+pub(super) fn session(setting: &Setting) -> Result<Vec<LogMsg>, RecordingError> {
     let drawn = vec![format!("+ /{SCENE}/**"), format!("- /{DEFLECTED}/**"), format!("- /{ARROWS}/**")];
     let picture = picture("Robot while it is measured", setting, drawn);
-    beside_machine(picture, setting.rod, false)
+    rerun_layout::messages(&beside_machine(picture, setting.rod, false), Force::Active)
 }
 
-/// What is known of the surroundings before anything was measured.
+/// What a view in space has to show.
 pub(super) struct Setting {
-    /// Opposite to gravity.
+    /// Direction against gravity.
     pub up: Vector3<f64>,
     /// Where the trackers stand, m.
     pub trackers: Vec<Vector3<f64>>,
-    /// What has to be in the picture beside them, m.
+    /// Other points that must be visible, m.
     pub seen: Vec<Vector3<f64>>,
     /// Whether there is a four-bar.
     pub rod: bool,
@@ -236,7 +234,7 @@ impl Setting {
     }
 }
 
-/// An eye that sees the base, the trackers and all measured points, from the trackers' side.
+/// A point of view from which the base, the trackers and all measured points are visible, on the trackers' side.
 fn eye(setting: &Setting) -> EyeControls3D {
     let Setting { up, trackers, seen, .. } = setting;
     let seen = || seen.iter().chain(trackers).copied().chain([Vector3::zeros()]);
@@ -248,7 +246,7 @@ fn eye(setting: &Setting) -> EyeControls3D {
     let towards = trackers.first().map_or(Vector3::x(), |t| t - centre);
     let level = towards - up * up.dot(&towards);
     let level = level.try_normalize(1e-9).unwrap_or_else(|| scene::across(up).into_inner());
-    // Beside the line of sight, which would otherwise be seen end on.
+    // To one side of the line of sight, which would otherwise be seen end on.
     let aside = Rotation3::from_axis_angle(&Unit::new_normalize(*up), 0.7) * level;
     let direction = (aside + 0.45 * up).normalize();
     let position = centre + direction * radius / HALF_VIEW.sin();

@@ -1,4 +1,4 @@
-//! What is seen of a run, in the base frame and free of any viewer.
+//! The pictures of a run, in the base frame and independent of any viewer.
 
 use nalgebra::{Point3, Rotation3, UnitQuaternion, Vector3};
 
@@ -21,10 +21,10 @@ pub enum ChainKind {
     True,
     /// The model before calibration.
     Nominal,
-    /// The machine at rest with its deflections [`DEFLECTION_SCALE`] times as large: from where nothing of it yields, effects included, to
-    /// where it is at rest.
+    /// The machine at rest with its deflections enlarged [`DEFLECTION_SCALE`] times. A deflection leads from the rigid machine, effects
+    /// included, to the machine at rest.
     Deflection,
-    /// The last mode's robot, where there is no truth to show.
+    /// The last mode's robot, if there is no truth to show.
     Calibrated,
 }
 
@@ -39,12 +39,12 @@ impl ChainKind {
         }
     }
 
-    /// Whether the links' shapes are drawn on it; a ghost is a line alone.
+    /// Whether it is drawn as a line only, without the links' shapes.
     pub fn is_ghost(self) -> bool {
         matches!(self, Self::Nominal | Self::Deflection)
     }
 
-    /// What people must be told beside it.
+    /// Label beside it.
     pub(super) fn label(self) -> Option<&'static str> {
         (self == Self::Deflection).then_some("deflection x100")
     }
@@ -89,7 +89,7 @@ impl Chain {
     }
 }
 
-/// The chains to show at one pose: the truth, larger than life, and nominal; or else the calibrated one.
+/// The chains to show at one pose: true, nominal and with enlarged deflections; or else the calibrated one.
 pub(super) fn chains(story: &Story<'_>, set: usize, index: usize) -> Vec<Chain> {
     let Some(measurements) = story.sets.get(set).map(|s| &s.measurements) else { return Vec::new() };
     let Some(observation) = measurements.observations.get(index) else { return Vec::new() };
@@ -102,7 +102,7 @@ pub(super) fn chains(story: &Story<'_>, set: usize, index: usize) -> Vec<Chain> 
     machine.unwrap_or_else(|| calibrated_chain(story, observation).into_iter().collect())
 }
 
-/// The machine at rest, the nominal robot where its target is known, and the machine larger than life where it is known without deflection.
+/// The machine at rest; the nominal robot, if its target is known; and the enlarged deflections, if the rigid machine is known.
 pub(super) fn machine_chains(
     as_built: &AsBuilt,
     settled: &SettledPose,
@@ -155,7 +155,7 @@ fn exaggerated(from: &Transform, to: &Transform) -> Transform {
     )
 }
 
-/// The robot before calibration, with the target where it is stated to be in the flange frame.
+/// The robot before calibration, with the target at its stated place in the flange frame.
 pub(super) fn nominal_chain(
     model: &CalibrationModel,
     target: &Vector3<f64>,
@@ -170,7 +170,7 @@ pub(super) fn nominal_chain(
     chain_of(ChainKind::Nominal, model, &observation.command, links, target)
 }
 
-/// Where the nominal robot's last link is in the middle of all travels, and with each slide at either end of its own, m.
+/// Places of the nominal robot's last link, m: with every joint in mid-travel, and with each prismatic joint at either end.
 #[cfg(feature = "rerun")]
 pub(super) fn reach(model: &KinematicModel) -> Vec<Vector3<f64>> {
     let middle: Vec<_> =
@@ -210,7 +210,7 @@ fn chain_of(
     Some(Chain { kind, links, flange, target, linkage })
 }
 
-/// The four-bar between links that are placed: its crank undeflected, which no picture shows.
+/// The four-bar between links whose places are known. Its crank is taken as rigid, which no picture shows.
 fn linkage(model: &CalibrationModel, command: &[f64], links: &[Transform]) -> Option<[Vector3<f64>; 4]> {
     let (shoulder, elbow, offset, four_bar) = model.actuators.four_bar()?;
     let base = model.kinematics.base_from_first;
@@ -314,12 +314,12 @@ pub(super) fn arrow(mode: &ModeOutcome, observation: &Observation, error: &Vecto
     Some(Arrow { origin: measured - error, vector: RESIDUAL_SCALE * error })
 }
 
-/// The base axis that points up, against gravity; z where gravity is not known.
+/// The base axis that points up, against gravity; z if gravity is not known.
 pub(super) fn up(story: &Story<'_>) -> Vector3<f64> {
     up_of(story.model, story.truth.map(|truth| &truth.as_built))
 }
 
-/// The same before there is an story.
+/// The same, before there is a story.
 pub(super) fn up_of(model: &CalibrationModel, as_built: Option<&AsBuilt>) -> Vector3<f64> {
     let as_built = as_built.map(|machine| machine.statics.gravity);
     let gravity = model.statics.as_ref().map(|statics| statics.gravity).or(as_built);
@@ -330,7 +330,7 @@ pub(super) fn up_of(model: &CalibrationModel, as_built: Option<&AsBuilt>) -> Vec
     up
 }
 
-/// The rotation of a world whose z points up: viewers without a choice of axis take z for up.
+/// The rotation into a world whose z points up, for viewers that always take z for up.
 pub(super) fn world_from_base(story: &Story<'_>) -> UnitQuaternion<f64> {
     turn(&Vector3::z(), &up(story))
 }
@@ -363,17 +363,17 @@ pub(super) fn deviations(nominal: &KinematicModel, as_built: &KinematicModel) ->
 /// Red, green, blue, opacity.
 pub(super) type Colour = [u8; 4];
 
-/// Colours that can be told apart on dark ground with any colour vision (after Okabe and Ito, 2008).
-/// The points of a path that was driven; `None` where nothing was.
+/// The planned points of a driven path; `None` if none was driven.
 pub(super) fn planned_path(path: &DrivenPath) -> Option<Vec<Vector3<f64>>> {
     Some(path.modes.first()?.points.iter().map(|point| point.goal).collect())
 }
 
-/// Where the tool was on it, errors drawn [`RESIDUAL_SCALE`] times as large.
+/// The measured path, with errors enlarged [`RESIDUAL_SCALE`] times.
 pub(super) fn driven_path(mode: &DrivenMode) -> Vec<Vector3<f64>> {
     mode.points.iter().map(|point| point.goal + RESIDUAL_SCALE * point.error()).collect()
 }
 
+/// Colours that can be told apart on a dark background with any colour vision (after Okabe and Ito, 2008).
 pub(super) fn mode_colour(mode: Mode) -> Colour {
     const PALETTE: [Colour; 5] = [
         [204, 121, 167, 255],
@@ -387,7 +387,7 @@ pub(super) fn mode_colour(mode: Mode) -> Colour {
 }
 
 pub(super) const STEEL: Colour = [205, 218, 235, 255];
-/// The links' shapes let the chains within be seen.
+/// Translucent, so that the chains inside the links' shapes can be seen.
 pub(super) const SHELL: Colour = [150, 165, 185, 110];
 pub(super) const GHOST: Colour = [150, 150, 160, 255];
 /// Half the thickness of a four-bar's crank, rod and lever, m.

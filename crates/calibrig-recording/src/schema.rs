@@ -1,4 +1,4 @@
-//! The messages of package `calibrig.v1` (see `calibrig.proto`), and the way between them and the library's own types.
+//! The messages of package `calibrig.v1` (see `calibrig.proto`), and the conversion between them and the library's own types.
 
 use nalgebra::{Matrix3, Matrix6, Rotation3, Vector3};
 
@@ -37,6 +37,10 @@ pub(super) fn matrix(m: &Matrix3<f64>) -> Vec<f64> {
     m.transpose().iter().copied().collect()
 }
 
+fn optional_matrix(m: Option<&Matrix3<f64>>) -> Vec<f64> {
+    m.map(matrix).unwrap_or_default()
+}
+
 pub(super) fn pose(transform: &Transform) -> v1::Pose {
     v1::Pose {
         rotation: matrix(transform.rotation.matrix()),
@@ -44,7 +48,7 @@ pub(super) fn pose(transform: &Transform) -> v1::Pose {
     }
 }
 
-/// A message's number: there, and finite.
+/// A number of a message, which must be there and finite.
 fn number(value: Option<f64>, name: &str) -> Result<f64, String> {
     let value = value.ok_or_else(|| format!("{name} is missing"))?;
     if value.is_finite() {
@@ -69,14 +73,13 @@ fn to_matrix(values: &[f64], name: &str) -> Result<Matrix3<f64>, String> {
     numbers::<9>(values, name).map(|v| Matrix3::from_row_slice(&v))
 }
 
-/// A rotation matrix as it is written: right-handed and of unit columns, up to the digits of a program in single precision, whose nearest
-/// rotation is taken.
+/// A rotation matrix: right-handed, with orthonormal columns up to the digits of single precision. The nearest rotation is taken.
 fn to_rotation(values: &[f64], name: &str) -> Result<Rotation3<f64>, String> {
     let matrix = to_matrix(values, name)?;
     let off = (matrix.transpose() * matrix - Matrix3::identity()).amax();
     if off > 1e-5 {
         return Err(format!(
-            "{name} is no rotation: its columns differ from unit vectors at right angles by {off:.1e}"
+            "{name} is no rotation: its columns differ from unit vectors at right angles by {off:.1e}, at most 1e-5 was expected"
         ));
     }
     if matrix.determinant() < 0.0 {
@@ -106,14 +109,14 @@ impl From<&Reading> for v1::Reading {
                 range: Some(reading.range),
                 azimuth: Some(reading.azimuth),
                 elevation: Some(reading.elevation),
-                covariance: reading.covariance.as_ref().map(matrix).unwrap_or_default(),
+                covariance: optional_matrix(reading.covariance.as_ref()),
                 back_face: reading.face == Face::Back,
                 both_faces: reading.face == Face::Both,
             }),
             Reading::Cartesian { position, covariance } => {
                 v1::reading::Kind::Cartesian(v1::CartesianReading {
                     position: vector(position),
-                    covariance: covariance.as_ref().map(matrix).unwrap_or_default(),
+                    covariance: optional_matrix(covariance.as_ref()),
                 })
             }
             Reading::Pose(pose) => v1::reading::Kind::Pose(v1::PoseReading {
@@ -169,8 +172,13 @@ fn instrument(stated: &StatedInstrument) -> v1::Instrument {
 
 fn to_instrument(message: &v1::Instrument) -> Result<StatedInstrument, String> {
     let error = |error: &v1::InstrumentError| {
-        let term = InstrumentTerm::parse(&error.term)
-            .ok_or_else(|| format!("there is no error {:?} of an instrument", error.term))?;
+        let term = InstrumentTerm::parse(&error.term).ok_or_else(|| {
+            format!(
+                "there is no error {:?} of an instrument: expected one of {}",
+                error.term,
+                InstrumentTerm::ALL.map(InstrumentTerm::key).join(", ")
+            )
+        })?;
         Ok::<_, String>((term, number(error.sigma, "sigma of an instrument's error")?))
     };
     Ok(StatedInstrument {
@@ -186,7 +194,7 @@ fn to_instrument(message: &v1::Instrument) -> Result<StatedInstrument, String> {
     })
 }
 
-/// A set before its observations.
+/// The message that describes a set before its observations.
 pub(super) fn session(set: &SetOutcome, planned: Option<u32>) -> v1::Session {
     let measurements = &set.measurements;
     let swept = |(index, reading): (usize, &Observation)| observation(set.kind, index, reading);
@@ -196,20 +204,15 @@ pub(super) fn session(set: &SetOutcome, planned: Option<u32>) -> v1::Session {
         instrument: station.instrument.as_ref().map(instrument),
         sweeps: station.sweeps.iter().enumerate().map(swept).collect(),
     };
-    let target = |target: &Target| v1::Target {
-        name: target.name.clone(),
-        in_flange: vector(&target.in_flange),
-        covariance: target.covariance.as_ref().map(matrix).unwrap_or_default(),
-        rotation: target
-            .orientation
-            .as_ref()
-            .map(|turned| matrix(turned.flange_from_target.matrix()))
-            .unwrap_or_default(),
-        rotation_covariance: target
-            .orientation
-            .as_ref()
-            .and_then(|turned| turned.covariance.as_ref().map(matrix))
-            .unwrap_or_default(),
+    let target = |target: &Target| {
+        let turned = target.orientation.as_ref();
+        v1::Target {
+            name: target.name.clone(),
+            in_flange: vector(&target.in_flange),
+            covariance: optional_matrix(target.covariance.as_ref()),
+            rotation: optional_matrix(turned.map(|turned| turned.flange_from_target.matrix())),
+            rotation_covariance: optional_matrix(turned.and_then(|turned| turned.covariance.as_ref())),
+        }
     };
     v1::Session {
         set: set.kind.key().to_owned(),
@@ -260,7 +263,7 @@ fn to_orientation(target: &v1::Target) -> Result<Option<TargetOrientation>, Stri
     }))
 }
 
-/// Counts of a recording are far below 2^32.
+/// As the 32 bits of a message: counts in a recording are far smaller than 2^32.
 pub(super) fn saturating(count: usize) -> u32 {
     u32::try_from(count).unwrap_or(u32::MAX)
 }
@@ -376,7 +379,7 @@ pub(super) fn to_observation(message: &v1::Observation, set: &SetOutcome) -> Res
         return Err(format!("since_reversal holds {value}, finite ways of zero or more were expected"));
     }
     let approach = match message.approach.as_slice() {
-        // Another program need not know it.
+        // Another program may leave it out.
         [] => vec![0; message.command.len()],
         signs => signs.iter().map(sign).collect::<Result<_, _>>()?,
     };

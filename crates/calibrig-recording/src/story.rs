@@ -1,4 +1,4 @@
-//! The one story that every recorder is told: first the session, while it is measured, then what was made of it.
+//! What every recorder is told, in one order: first the session while it is measured, then its evaluation.
 
 use std::fmt::Write;
 use std::ops::Range;
@@ -20,14 +20,14 @@ use calibrig_plant::effects::PoseEffects;
 use calibrig_plant::session::{PlantKind, Truth};
 use calibrig_plant::{AsBuilt, SettledPose};
 
-/// All that a recorder is told of a run.
+/// Everything that a recorder is told about a run.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Story<'a> {
     /// Where the measurements came from.
     pub input: &'a InputSummary,
     /// The input files by role (`scenario`, `robot`, `urdf`, ...), as read.
     pub sources: &'a [(String, Source)],
-    /// What identification was told beforehand.
+    /// The model that identification started from.
     pub model: &'a CalibrationModel,
     /// What the links look like; empty where unknown.
     pub visuals: &'a [Vec<Visual>],
@@ -41,7 +41,7 @@ pub struct Story<'a> {
     pub truth: Option<&'a Truth>,
     /// Published figures beside them, m: (set, mode, [max x, mean x, max y, mean y, max z, mean z]).
     pub published: &'a [(SetKind, Mode, [f64; 6])],
-    /// What corrected commands did on the machine, where they were driven.
+    /// The effect of corrected commands on the machine, if they were driven.
     pub closed_loop: Option<&'a ClosedLoop>,
 }
 
@@ -60,26 +60,36 @@ pub struct InputSummary {
     pub trial: Option<(u32, PlantKind)>,
 }
 
-/// A sink for the story of a run. What the session alone does not need is not told to it by default.
+/// A sink for the story of a run. One that shows only what was made of a session need not listen to the session itself.
 pub trait Recorder {
     /// Before the session.
-    fn open(&mut self, preamble: &Preamble<'_>) -> Result<(), RecordingError>;
+    fn open(&mut self, _: &Preamble<'_>) -> Result<(), RecordingError> {
+        Ok(())
+    }
     /// A set begins, at `time` ns: its stations and targets; poses planned, where known.
-    fn set(&mut self, time: u64, set: &SetOutcome, planned: Option<u32>) -> Result<(), RecordingError>;
+    fn set(&mut self, _time: u64, _: &SetOutcome, _planned: Option<u32>) -> Result<(), RecordingError> {
+        Ok(())
+    }
     /// A pose was measured.
-    fn measured(&mut self, measured: &Measured<'_>) -> Result<(), RecordingError>;
+    fn measured(&mut self, _: &Measured<'_>) -> Result<(), RecordingError> {
+        Ok(())
+    }
     /// A pose was planned but not measured.
-    fn dropped(&mut self, time: u64, kind: SetKind, pose: u32, reason: &str) -> Result<(), RecordingError>;
+    fn dropped(&mut self, _time: u64, _: SetKind, _pose: u32, _why: &str) -> Result<(), RecordingError> {
+        Ok(())
+    }
     /// A set is complete, with so many observations.
-    fn set_end(&mut self, time: u64, kind: SetKind, observations: usize) -> Result<(), RecordingError>;
+    fn set_end(&mut self, _time: u64, _: SetKind, _observations: usize) -> Result<(), RecordingError> {
+        Ok(())
+    }
 
-    /// What holds for all of the evaluation.
+    /// The evaluation begins.
     fn begin(&mut self, story: &Story<'_>) -> Result<(), RecordingError>;
     /// One pose, evaluated.
     fn pose(&mut self, step: &PoseStep<'_>) -> Result<(), RecordingError>;
-    /// What a mode made of the measurements, at `time` ns.
+    /// The result of a mode, at `time` ns.
     fn estimate(&mut self, time: u64, story: &Story<'_>, mode: &ModeOutcome) -> Result<(), RecordingError>;
-    /// What corrected commands did on the machine, at `time` ns.
+    /// The effect of corrected commands on the machine, at `time` ns.
     fn closed_loop(&mut self, time: u64, driven: &ClosedLoop) -> Result<(), RecordingError>;
     /// A line for people.
     fn log(&mut self, entry: &LogEntry) -> Result<(), RecordingError>;
@@ -92,7 +102,7 @@ pub struct Preamble<'a> {
     pub input: &'a InputSummary,
     /// The input files by role.
     pub sources: &'a [(String, Source)],
-    /// What identification is told beforehand.
+    /// The model that identification starts from.
     pub model: &'a CalibrationModel,
     /// What the links look like; empty where unknown.
     pub visuals: &'a [Vec<Visual>],
@@ -100,7 +110,7 @@ pub struct Preamble<'a> {
     pub truth: Option<TrueSetting<'a>>,
 }
 
-/// The machine of a simulated session, and what is measured of it from where.
+/// The machine of a simulated session, with the trackers and targets by which it is measured.
 #[derive(Debug, Clone, Copy)]
 pub struct TrueSetting<'a> {
     /// The machine.
@@ -114,7 +124,7 @@ pub struct TrueSetting<'a> {
 }
 
 impl<'a> TrueSetting<'a> {
-    /// What a session knows of it.
+    /// The part of the truth that is known before the session.
     pub fn of(truth: &'a Truth) -> Self {
         let Truth { as_built, stations, further_targets, payloads, .. } = truth;
         Self { as_built, stations, further_targets, payloads }
@@ -134,18 +144,18 @@ pub struct Measured<'a> {
     pub times: &'a [u64],
     /// The machine at rest, one an observation; empty where not simulated.
     pub truth: &'a [SettledPose],
-    /// The same if nothing of it yielded.
+    /// The same with every part rigid.
     pub rigid: &'a [SettledPose],
-    /// What the machine's effects made of the pose.
+    /// How the machine's effects changed the pose.
     pub effects: &'a [PoseEffects],
 }
 
 /// How much a line matters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum LogLevel {
-    /// To know.
+    /// For information.
     Info,
-    /// To look into.
+    /// Something to check.
     Warning,
 }
 
@@ -173,11 +183,11 @@ pub struct PoseStep<'a> {
     pub chains: Vec<Chain>,
     /// Where the targets were seen, in the base frame.
     pub sightings: Vec<Sighting>,
-    /// What each mode left over.
+    /// The residuals of each mode.
     pub residuals: Vec<Residuals<'a>>,
 }
 
-/// What a mode left over at one pose.
+/// The residuals of a mode at one pose.
 #[derive(Debug, Clone)]
 pub struct Residuals<'a> {
     /// The mode.
@@ -193,7 +203,7 @@ impl Measured<'_> {
         self.times.first().copied().unwrap_or(0)
     }
 
-    /// How far elasticity takes the target of observation `index` of this pose, in the base frame, m.
+    /// Elastic deflection of the target at observation `index` of this pose, in the base frame, m.
     pub fn deflection(&self, index: usize) -> Option<Vector3<f64>> {
         Some(self.truth.get(index)?.target - self.rigid.get(index)?.target)
     }
@@ -205,7 +215,7 @@ pub fn record(story: &Story<'_>, recorder: &mut dyn Recorder) -> Result<(), Reco
     record_evaluation(story, recorder)
 }
 
-/// Tells the session of `story` as it was told, or would have been, while it was measured.
+/// Tells the session of `story` in the same way as while it is measured.
 fn record_session(story: &Story<'_>, recorder: &mut dyn Recorder) -> Result<(), RecordingError> {
     let truth = story.truth;
     let preamble = Preamble {
@@ -218,7 +228,7 @@ fn record_session(story: &Story<'_>, recorder: &mut dyn Recorder) -> Result<(), 
     record_sets(&preamble, story.sets, truth, recorder)
 }
 
-/// Tells `recorder` of sets that were measured somewhere else, of which nothing was made yet.
+/// Tells `recorder` about sets that were measured elsewhere and are not evaluated yet.
 pub(super) fn record_sets(
     preamble: &Preamble<'_>,
     sets: &[SetOutcome],
@@ -250,7 +260,7 @@ pub(super) fn record_sets(
     Ok(())
 }
 
-/// Tells what was made of the session: the story goes through its poses once more.
+/// Tells the evaluation of the session, which goes through the poses once more.
 pub fn record_evaluation(story: &Story<'_>, recorder: &mut dyn Recorder) -> Result<(), RecordingError> {
     recorder.begin(story)?;
     for message in opening(story) {

@@ -1,31 +1,32 @@
-//! What the records of a file hold, counted as they come.
+//! Counts what the records of a file hold.
 
 use std::collections::{BTreeMap, HashMap};
 
 use mcap::records::{MessageHeader, Record};
-use prost::{Message, Name};
+use prost::Name;
 
 use super::carried::CarriedReport;
 use super::directory::{Definitions, Directory};
 use super::estimate::freedom_of;
-use super::inspect::{
+use super::inspection::{
     AttachmentReport, EstimateReport, ProvenanceReport, ProvenanceState, SetReport, TopicReport,
 };
 use super::mcap_writer::RECORD_LIMIT;
+use super::messages::{Decoder, Own};
 use super::provenance::{AttachedInput, METADATA};
 use super::schema::{set_kind, to_payload, v1};
-use calibrig_model::Payload;
+use super::{Provenance, RecordingError};
 use calibrig_model::measurement::SetKind;
 
-/// What has been seen of a file.
+/// What has been counted so far.
 pub(super) struct Survey {
     pub profile: String,
     pub library: String,
     definitions: Definitions,
     tallies: HashMap<u16, Tally>,
-    /// Messages whose channel nobody describes.
+    /// Messages on channels that the file does not describe.
     pub nameless: u64,
-    /// The first metadata record of ours, and where it is.
+    /// Calibrig's first metadata record, and its place in the file.
     metadata: Option<(u64, BTreeMap<String, String>)>,
     pub metadata_names: Vec<String>,
     inputs: Vec<AttachedInput>,
@@ -35,67 +36,56 @@ pub(super) struct Survey {
     pub estimates: Vec<EstimateReport>,
 }
 
-#[derive(Debug, Clone, Copy)]
+#[derive(Clone, Copy)]
 struct Tally {
     messages: u64,
     bytes: u64,
     first: u64,
     last: u64,
-    /// What of ours is on it.
-    holds: Holds,
+    /// For messages about sets or estimates.
+    decoder: Option<Decoder>,
 }
 
-/// A message of ours that tells of sets or estimates.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Holds {
-    Session,
-    SessionEnd,
-    Nest,
-    Dropped,
-    Observation,
-    Estimate,
-    Other,
-}
-
-#[derive(Debug, Clone, Default)]
+/// A set while it is counted.
+#[derive(Debug, Default)]
 struct SetTally {
-    described: bool,
-    planned: Option<u32>,
-    expected: Option<u32>,
-    poses: u64,
+    report: SetReport,
     last_pose: Option<u32>,
-    observations: u64,
-    dropped: u64,
-    stations: u64,
-    targets: u64,
-    nests: u64,
-    full_poses: u64,
-    back_face: u64,
-    carried: Vec<(Option<Payload>, usize)>,
-    /// Places in it, by name and bits.
+    /// Places of the payloads in the report, by name and bits.
     known: HashMap<Option<(String, [u64; 7])>, usize>,
 }
 
 impl SetTally {
-    /// Counts a pose that carries it.
-    fn carry(&mut self, payload: Option<Payload>) {
-        let key = payload.as_ref().map(|payload| (payload.name.clone(), payload.bits()));
-        let next = self.carried.len();
-        let place = *self.known.entry(key).or_insert(next);
-        match self.carried.get_mut(place) {
-            Some((_, poses)) => *poses += 1,
-            None => self.carried.push((payload, 1)),
+    fn observation(&mut self, message: v1::Observation) {
+        let report = &mut self.report;
+        report.observations += 1;
+        match message.reading.and_then(|reading| reading.kind) {
+            Some(v1::reading::Kind::Pose(_)) => report.full_poses += 1,
+            Some(v1::reading::Kind::Spherical(reading)) if reading.back_face => report.back_face += 1,
+            _ => {}
         }
+        if self.last_pose.replace(message.pose) == Some(message.pose) {
+            return;
+        }
+        report.poses += 1;
+        let Ok(payload) = message.payload.as_ref().map(to_payload).transpose() else { return };
+        let key = payload.as_ref().map(|payload| (payload.name.clone(), payload.bits()));
+        let next = report.payloads.len();
+        let place = *self.known.entry(key).or_insert(next);
+        if place == next {
+            report.payloads.push(CarriedReport::of(payload.as_ref(), 0));
+        }
+        report.payloads[place].poses += 1;
     }
 
-    /// As a report has it: empty where no pose carries anything.
-    fn carried(&self) -> Vec<CarriedReport> {
-        if self.carried.iter().all(|(payload, _)| payload.is_none()) {
-            return Vec::new();
+    fn report(&self) -> SetReport {
+        let mut report = self.report.clone();
+        report.complete =
+            report.described && report.expected.is_some_and(|n| u64::from(n) == report.observations);
+        if report.payloads.iter().all(|carried| carried.name.is_none()) {
+            report.payloads.clear();
         }
-        let report =
-            |(payload, poses): &(Option<Payload>, usize)| CarriedReport::of(payload.as_ref(), *poses);
-        self.carried.iter().map(report).collect()
+        report
     }
 }
 
@@ -138,7 +128,7 @@ impl Survey {
                     bytes: bytes as u64,
                     checksum: crc != 0,
                 });
-                // Input files are short: others are not kept in memory for a hash that they do not belong to.
+                // Input files are short: long attachments do not belong to the hash and are not kept in memory.
                 self.input_bytes = self.input_bytes.saturating_add(bytes);
                 if self.input_bytes <= RECORD_LIMIT {
                     self.inputs.push((header.name, String::from_utf8_lossy(&data).into_owned()));
@@ -155,8 +145,9 @@ impl Survey {
                 self.nameless += 1;
                 return;
             };
-            let holds = holds(&channel.topic, schema.map_or("", |schema| &schema.header.name));
-            let tally = Tally { messages: 0, bytes: 0, first: u64::MAX, last: 0, holds };
+            let schema = schema.map_or("", |schema| &schema.header.name);
+            let decoder = Own::decoder(&channel.topic, schema).ok().flatten();
+            let tally = Tally { messages: 0, bytes: 0, first: u64::MAX, last: 0, decoder };
             self.tallies.insert(header.channel_id, tally);
         }
         let Some(tally) = self.tallies.get_mut(&header.channel_id) else { return };
@@ -164,16 +155,16 @@ impl Survey {
         tally.bytes += data.len() as u64;
         tally.first = tally.first.min(header.log_time);
         tally.last = tally.last.max(header.log_time);
-        let holds = tally.holds;
-        // What cannot be decoded is for the reader to refuse.
-        let _ = self.own(holds, data);
+        // A message that cannot be decoded is counted; the reader refuses it.
+        if let Some(Ok(own)) = tally.decoder.map(|decode| decode(data)) {
+            let _ = self.own(own);
+        }
     }
 
-    fn own(&mut self, holds: Holds, data: &[u8]) -> Option<()> {
-        match holds {
-            Holds::Session => {
-                let session = v1::Session::decode(data).ok()?;
-                let set = self.set(&session.set)?;
+    fn own(&mut self, own: Own) -> Option<()> {
+        match own {
+            Own::Session(session) => {
+                let set = &mut self.set(&session.set)?.report;
                 set.described = true;
                 set.planned = session.planned_poses;
                 set.expected = session.observation_count;
@@ -182,42 +173,22 @@ impl Survey {
                 set.dropped += session.dropped.len() as u64;
                 set.nests += session.stations.iter().map(|s| s.nests.len() as u64).sum::<u64>();
             }
-            Holds::SessionEnd => {
-                let end = v1::SessionEnd::decode(data).ok()?;
-                self.set(&end.set)?.expected = Some(end.observation_count);
-            }
-            Holds::Nest => {
-                let nest = v1::BaseNest::decode(data).ok()?;
-                self.set(&nest.set)?.nests += 1;
-            }
-            Holds::Dropped => {
-                let dropped = v1::DroppedPose::decode(data).ok()?;
-                self.set(&dropped.set)?.dropped += 1;
-            }
-            Holds::Observation => {
-                let observation = v1::Observation::decode(data).ok()?;
+            Own::SessionEnd(end) => self.set(&end.set)?.report.expected = Some(end.observation_count),
+            Own::Nest(nest) => self.set(&nest.set)?.report.nests += 1,
+            Own::Dropped(dropped) => self.set(&dropped.set)?.report.dropped += 1,
+            Own::Observation(observation) => {
                 let set = self.set(&observation.set)?;
-                set.observations += 1;
-                match observation.reading.and_then(|reading| reading.kind) {
-                    Some(v1::reading::Kind::Pose(_)) => set.full_poses += 1,
-                    Some(v1::reading::Kind::Spherical(reading)) if reading.back_face => set.back_face += 1,
-                    _ => {}
-                }
-                if set.last_pose.replace(observation.pose) != Some(observation.pose) {
-                    set.poses += 1;
-                    if let Ok(payload) = observation.payload.as_ref().map(to_payload).transpose() {
-                        set.carry(payload);
-                    }
-                }
+                set.observation(observation);
             }
-            Holds::Estimate => self.estimates.push(estimate_of(v1::Estimate::decode(data).ok()?)),
-            Holds::Other => {}
+            Own::Estimate(estimate) => self.estimates.push(estimate_of(estimate)),
         }
         Some(())
     }
 
     fn set(&mut self, key: &str) -> Option<&mut SetTally> {
-        Some(self.sets.entry(set_kind(key).ok()?).or_default())
+        let kind = set_kind(key).ok()?;
+        let report = || SetReport { set: kind.key(), ..SetReport::default() };
+        Some(self.sets.entry(kind).or_insert_with(|| SetTally { report: report(), ..SetTally::default() }))
     }
 
     /// Messages that can be read.
@@ -233,7 +204,7 @@ impl Survey {
             || self.definitions.schemas.values().any(|schema| schema.header.name.starts_with(&own))
     }
 
-    /// What the file says of where it comes from; and where that stands, if it was altered.
+    /// What the file says about its origin; and where in the file that stands, if it was altered.
     pub(super) fn provenance(&self) -> (Option<ProvenanceReport>, Option<u64>) {
         let Some((at, metadata)) = &self.metadata else { return (None, None) };
         let report = ProvenanceReport::of(metadata, &self.inputs);
@@ -242,26 +213,10 @@ impl Survey {
     }
 
     pub(super) fn sets(&self) -> Vec<SetReport> {
-        let report = |(kind, set): (&SetKind, &SetTally)| SetReport {
-            set: kind.key(),
-            described: set.described,
-            complete: set.described && set.expected.is_some_and(|n| u64::from(n) == set.observations),
-            planned: set.planned,
-            poses: set.poses,
-            observations: set.observations,
-            expected: set.expected,
-            dropped: set.dropped,
-            stations: set.stations,
-            targets: set.targets,
-            nests: set.nests,
-            full_poses: set.full_poses,
-            back_face: set.back_face,
-            payloads: set.carried(),
-        };
-        self.sets.iter().map(report).collect()
+        self.sets.values().map(SetTally::report).collect()
     }
 
-    /// Topics by name: those that the summary alone knows, too.
+    /// Topics by name, with those that only the summary knows.
     pub(super) fn topics(&self, directory: &Directory) -> Vec<TopicReport> {
         let mut topics: BTreeMap<(&str, &str), TopicReport> = BTreeMap::new();
         for (id, channel) in &self.definitions.channels {
@@ -298,19 +253,6 @@ impl Survey {
     }
 }
 
-fn holds(topic: &str, schema: &str) -> Holds {
-    let known = [
-        (v1::Session::full_name(), "/session", Holds::Session),
-        (v1::SessionEnd::full_name(), "/session/end", Holds::SessionEnd),
-        (v1::BaseNest::full_name(), "/nest", Holds::Nest),
-        (v1::DroppedPose::full_name(), "/dropped", Holds::Dropped),
-        (v1::Observation::full_name(), "/measurement", Holds::Observation),
-        (v1::Estimate::full_name(), "/estimate", Holds::Estimate),
-    ];
-    let found = known.into_iter().find(|(name, root, _)| name == schema && topic.starts_with(root));
-    found.map_or(Holds::Other, |(_, _, holds)| holds)
-}
-
 fn estimate_of(message: v1::Estimate) -> EstimateReport {
     let freedom = freedom_of(&message).filter(|&freedom| freedom > 0.0);
     EstimateReport {
@@ -320,5 +262,33 @@ fn estimate_of(message: v1::Estimate) -> EstimateReport {
         iterations: message.iterations.len() as u64,
         rms_3d_m: message.accuracy.into_iter().map(|row| (row.set, row.rms_3d)).collect(),
         mode: message.mode,
+    }
+}
+
+impl ProvenanceReport {
+    /// What `metadata` says of a recording with the attachments `inputs`.
+    pub(super) fn of(metadata: &BTreeMap<String, String>, inputs: &[AttachedInput]) -> Self {
+        let text = |key: &str| metadata.get(key).cloned().unwrap_or_default();
+        let (state, problem) = match Provenance::check(metadata, inputs) {
+            Ok(_) => (ProvenanceState::Fits, None),
+            Err(error @ RecordingError::NewerSchema { .. }) => {
+                (ProvenanceState::Newer, Some(error.to_string()))
+            }
+            Err(error) => (ProvenanceState::Altered, Some(error.to_string())),
+        };
+        Self {
+            state,
+            problem,
+            schema: text("schema"),
+            software: text("software"),
+            method: metadata.get("method").map_or(Some(1), |method| method.parse().ok()),
+            input_kind: text("input_kind"),
+            input_name: text("input_name"),
+            input_sha256: text("input_sha256"),
+            seed: metadata.get("seed").and_then(|seed| seed.parse().ok()),
+            trial: metadata.get("trial").and_then(|trial| trial.parse().ok()),
+            plant: metadata.get("plant").cloned(),
+            provenance_sha256: text("provenance_sha256"),
+        }
     }
 }

@@ -1,10 +1,10 @@
-//! Tables for people, in Markdown.
+//! Tables to read, in Markdown.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
 use super::Story;
-use super::figures::{Correlations, approaches};
+use super::figures::{Correlations, approaches, identified};
 use super::{Measured, PoseStep, Provenance, scene};
 use calibrig_estimation::evaluation::AccuracyRow;
 use calibrig_estimation::evaluation::closed_loop::ClosedLoop;
@@ -18,12 +18,10 @@ use calibrig_model::{ParameterId, Unit};
 pub(super) fn accuracy(story: &Story<'_>) -> String {
     let mut text = String::new();
     for (index, set) in story.sets.iter().enumerate() {
-        let _ = writeln!(text, "## {} set: error at the target, mm\n", capitalised(set.kind.key()));
-        let _ = writeln!(text, "| | max x | mean x | max y | mean y | max z | mean z | RMS 3-D | max 3-D |");
-        let _ = writeln!(text, "|---|--:|--:|--:|--:|--:|--:|--:|--:|");
+        begin_errors(&mut text, &format!("{} set: error at the target", capitalised(set.kind.key())));
         for mode in story.modes {
             if let Some(Some(row)) = mode.rows.get(index) {
-                let _ = writeln!(text, "| {} |{}|", mode.mode.title(), cells(row));
+                add_errors(&mut text, mode.mode.title(), row);
             }
             if let Some(figures) = published(story, set.kind, mode.mode) {
                 let cells: Vec<_> = figures.iter().map(|m| format!(" *{:.1}* ", 1e3 * m)).collect();
@@ -43,7 +41,7 @@ pub(super) fn accuracy(story: &Story<'_>) -> String {
     text
 }
 
-/// What corrected commands did on the machine.
+/// The effect of corrected commands on the machine.
 pub(super) fn compensation(driven: &ClosedLoop) -> String {
     let mut text = String::new();
     let of_path = driven
@@ -52,20 +50,36 @@ pub(super) fn compensation(driven: &ClosedLoop) -> String {
         .map(|path| (format!("Path of {:.2} m at {:.0} mm/s", path.length, 1e3 * path.speed), &path.modes));
     let of_poses = [("Poses of the verification set, driven again".to_owned(), &driven.modes)];
     for (title, modes) in of_poses.into_iter().chain(of_path) {
-        let _ = writeln!(text, "## {title}: measured minus wanted, mm\n");
-        let _ = writeln!(text, "| | max x | mean x | max y | mean y | max z | mean z | RMS 3-D | max 3-D |");
-        let _ = writeln!(text, "|---|--:|--:|--:|--:|--:|--:|--:|--:|");
+        begin_errors(&mut text, &format!("{title}: measured minus wanted"));
         for mode in modes {
-            let Some(row) = mode.row() else { continue };
             let name = match mode.mode {
                 Mode::WithoutCalibration => "nominal commands",
                 mode => mode.title(),
             };
-            let _ = writeln!(text, "| {name} |{}|", cells(&row));
+            if let Some(row) = mode.row() {
+                add_errors(&mut text, name, &row);
+            }
         }
         text.push('\n');
     }
     text
+}
+
+/// The head of a table of errors.
+fn begin_errors(text: &mut String, title: &str) {
+    let _ = writeln!(text, "## {title}, mm\n");
+    let _ = writeln!(text, "| | max x | mean x | max y | mean y | max z | mean z | RMS 3-D | max 3-D |");
+    let _ = writeln!(text, "|---|--:|--:|--:|--:|--:|--:|--:|--:|");
+}
+
+fn add_errors(text: &mut String, name: &str, row: &AccuracyRow) {
+    let axes = (0..3).flat_map(|axis| [row.max[axis], row.mean[axis]]);
+    let _ = writeln!(text, "| {name} |{}|", cells(axes.chain([row.rms_3d, row.max_3d])));
+}
+
+/// Lengths in m as cells in mm.
+fn cells(lengths: impl Iterator<Item = f64>) -> String {
+    lengths.map(|m| format!(" {:.3} ", 1e3 * m)).collect::<Vec<_>>().join("|")
 }
 
 fn capitalised(word: &str) -> String {
@@ -73,16 +87,11 @@ fn capitalised(word: &str) -> String {
     letters.next().map(|first| first.to_uppercase().chain(letters).collect()).unwrap_or_default()
 }
 
-fn cells(row: &AccuracyRow) -> String {
-    let axes = (0..3).flat_map(|axis| [row.max[axis], row.mean[axis]]);
-    axes.chain([row.rms_3d, row.max_3d]).map(|m| format!(" {:.3} ", 1e3 * m)).collect::<Vec<_>>().join("|")
-}
-
 fn published(story: &Story<'_>, kind: SetKind, mode: Mode) -> Option<[f64; 6]> {
     story.published.iter().find(|(k, m, _)| (*k, *m) == (kind, mode)).map(|(_, _, figures)| *figures)
 }
 
-/// One pose: what was commanded, and what each mode left over.
+/// One pose: its command, and the residuals of each mode.
 pub(super) fn pose(step: &PoseStep<'_>) -> String {
     let mut text = String::new();
     for (i, observation) in step.measured.observations.iter().enumerate() {
@@ -98,8 +107,8 @@ pub(super) fn pose(step: &PoseStep<'_>) -> String {
         text.push_str("| residual, mm | x | y | z | 3-D |\n|---|--:|--:|--:|--:|\n");
         for residuals in &step.residuals {
             let Some(error) = residuals.errors.get(i) else { continue };
-            let cells = error.iter().copied().chain([error.norm()]).map(|m| format!(" {:.3} ", 1e3 * m));
-            let _ = writeln!(text, "| {} |{}|", residuals.mode.title(), cells.collect::<Vec<_>>().join("|"));
+            let cells = cells(error.iter().copied().chain([error.norm()]));
+            let _ = writeln!(text, "| {} |{cells}|", residuals.mode.title());
         }
         let command: Vec<_> = observation.command.iter().map(|c| format!("{c:.4}")).collect();
         let _ = writeln!(text, "\nCommand (m, rad): {}\n", command.join(", "));
@@ -110,7 +119,7 @@ pub(super) fn pose(step: &PoseStep<'_>) -> String {
     text
 }
 
-/// The simulated machine at one pose: how far it gave way, what its effects did, how well it settled. Lengths in mm or µm, angles in µrad.
+/// The simulated machine at one pose: its deflections, its effects, and how well it settled. Lengths in mm or µm, angles in µrad.
 pub(super) fn machine(measured: &Measured<'_>) -> String {
     let mut text = String::new();
     for (i, (settled, observation)) in measured.truth.iter().zip(measured.observations).enumerate() {
@@ -152,13 +161,12 @@ pub(super) fn estimates(story: &Story<'_>) -> String {
     text.push_str(
         "| mode | ended with | iterations | rank | condition | chi² / dof |\n|---|---|--:|--:|--:|--:|\n",
     );
-    for mode in story.modes {
-        let Some(estimate) = &mode.estimate else { continue };
+    for (mode, estimate) in identified(story) {
         let ratio = estimate.chi2_per_dof().map_or_else(|| "–".to_owned(), |r| format!("{r:.3}"));
         let _ = writeln!(
             text,
             "| {} | {} | {} | {} of {} | {:.1} | {ratio} |",
-            mode.mode.title(),
+            mode.title(),
             estimate.termination.key().replace('_', " "),
             estimate.iterations.len(),
             estimate.spectrum.rank,
@@ -166,8 +174,7 @@ pub(super) fn estimates(story: &Story<'_>) -> String {
             estimate.spectrum.condition,
         );
     }
-    let estimates = story.modes.iter().filter_map(|m| Some((m.mode, m.estimate.as_ref()?)));
-    let warnings: Vec<_> = estimates
+    let warnings: Vec<_> = identified(story)
         .flat_map(|(mode, e)| e.warnings.iter().map(move |w| format!("- {}: {w}", mode.title())))
         .collect();
     if !warnings.is_empty() {
@@ -176,7 +183,7 @@ pub(super) fn estimates(story: &Story<'_>) -> String {
     text
 }
 
-/// The strongest correlations of an estimate, and how to read the picture beside.
+/// The strongest correlations of an estimate, and how to read the picture beside them.
 pub(super) fn correlations(mode: Mode, estimate: &Estimate, most: usize) -> String {
     let mut text = format!("## Correlations of the parameters, {}\n\n", mode.title());
     let Some(correlations) = Correlations::of(estimate) else {
@@ -197,7 +204,7 @@ pub(super) fn correlations(mode: Mode, estimate: &Estimate, most: usize) -> Stri
     text
 }
 
-/// How every mode came to its minimum, an iteration a row.
+/// How every mode converged, one row an iteration.
 pub(super) fn convergence(story: &Story<'_>) -> String {
     let mut text = String::from(
         "## The way to the minimum\n\n\
@@ -205,11 +212,9 @@ pub(super) fn convergence(story: &Story<'_>) -> String {
          A parameter's curve is the logarithm (base 10) of its distance from its final value in standard deviations of the result: \
          below 0, less than one standard deviation is left. The slowest parameters are shown.\n",
     );
-    for mode in story.modes {
-        let Some(estimate) = &mode.estimate else { continue };
+    for (mode, estimate) in identified(story) {
         let ways = approaches(estimate);
-        let _ =
-            writeln!(text, "\n### {}: {}\n", mode.mode.title(), estimate.termination.key().replace('_', " "));
+        let _ = writeln!(text, "\n### {}: {}\n", mode.title(), estimate.termination.key().replace('_', " "));
         text.push_str(
             "| | cost | damping | step | farthest from its end, σ | parameter |\n|--:|--:|--:|--:|--:|---|\n",
         );
@@ -233,10 +238,9 @@ pub(super) fn convergence(story: &Story<'_>) -> String {
     text
 }
 
-/// Every parameter with its standard deviation per mode, beside the truth where it is known. Lengths in mm, angles in mrad.
+/// Every parameter with its standard deviation for each mode, beside the truth if known. Lengths in mm, angles in mrad.
 pub(super) fn parameters(story: &Story<'_>) -> String {
-    let estimates: Vec<(Mode, &Estimate)> =
-        story.modes.iter().filter_map(|m| Some((m.mode, m.estimate.as_ref()?))).collect();
+    let estimates: Vec<(Mode, &Estimate)> = identified(story).collect();
     let truth: Option<BTreeMap<ParameterId, f64>> = story.truth.map(|truth| {
         scene::deviations(&story.model.kinematics, &truth.as_built.kinematics).into_iter().collect()
     });
@@ -276,7 +280,7 @@ pub(super) fn parameters(story: &Story<'_>) -> String {
     text
 }
 
-/// What the recording is of.
+/// The title, and the input of the run.
 pub(super) fn about(story: &Story<'_>) -> String {
     let input = &story.input;
     let seed = input.seed.map_or_else(|| "–".to_owned(), |seed| seed.to_string());

@@ -1,4 +1,4 @@
-//! The messages that hold the truth of a simulated run.
+//! The messages with the truth of a simulated run.
 
 use super::schema::{self, v1};
 use super::story::TrueSetting;
@@ -6,7 +6,7 @@ use super::{Measured, scene};
 use calibrig_model::{CraigLink, JointKind, KinematicModel};
 use calibrig_plant::{ElasticDeflection, ElasticPlace, SettledPose};
 
-/// The machine and what stands around it; what of it yields is told by a pose ([`elastic_names`]).
+/// The machine, its trackers and its targets. The names of its elastic parts come from a pose ([`elastic_names`]).
 pub(super) fn as_built(nominal: &KinematicModel, truth: TrueSetting<'_>) -> v1::AsBuilt {
     let TrueSetting { as_built: machine, stations, further_targets, payloads } = truth;
     let link = |link: &CraigLink| v1::Link {
@@ -60,7 +60,7 @@ fn elastic_name(elastic: &ElasticDeflection) -> String {
     }
 }
 
-/// Observation `i` of the pose at rest.
+/// The machine at rest at observation `i` of the pose.
 pub(super) fn settled_pose(measured: &Measured<'_>, i: usize) -> Option<v1::SettledPose> {
     let settled = measured.truth.get(i)?;
     Some(v1::SettledPose {
@@ -79,7 +79,7 @@ pub(super) fn settled_pose(measured: &Measured<'_>, i: usize) -> Option<v1::Sett
     })
 }
 
-/// What the effects made of observation `i` of the pose.
+/// How the effects changed observation `i` of the pose.
 pub(super) fn pose_effects(measured: &Measured<'_>, i: usize) -> Option<v1::PoseEffects> {
     let effects = measured.effects.get(i)?;
     Some(v1::PoseEffects {

@@ -1,13 +1,15 @@
-//! What a recording is made of, as its records come by.
+//! Collects the contents of a recording, record by record.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet};
 
-use mcap::records::{self, Record};
+use mcap::records::Record;
 
-use super::{MissingPart, ReadOptions, RecordedEstimate, RecordedParameter, Recording, decode};
+use super::{MissingPart, ReadOptions, RecordedEstimate, RecordedParameter, Recording};
+use crate::directory::Definitions;
 use crate::estimate::freedom_of;
+use crate::messages::{Own, invalid, lies_below};
 use crate::provenance::{AttachedInput, METADATA, RECOVERED, source_of};
-use crate::scan::{ReadError, Unprotected};
+use crate::records::Unprotected;
 use crate::schema::{self, v1};
 use crate::{Provenance, RecordingError};
 use calibrig_model::measurement::{SetKind, SetOutcome};
@@ -18,21 +20,16 @@ pub(super) struct Contents<'a> {
     metadata: Option<BTreeMap<String, String>>,
     recovered: bool,
     inputs: Vec<AttachedInput>,
-    /// Name by number.
-    schemas: HashMap<u16, String>,
-    /// Topic and schema by number.
-    channels: HashMap<u16, (String, u16)>,
+    definitions: Definitions,
     sets: Vec<SetInProgress>,
     estimates: Vec<RecordedEstimate>,
-    /// Sets whose description was lost from a damaged file: what is left of them cannot be placed.
+    /// Sets whose session was lost from a damaged file: without stations and targets, their observations cannot be used.
     lost: BTreeSet<SetKind>,
-    /// Behind the data section the summary repeats schemas and channels.
-    ended: bool,
 }
 
 struct SetInProgress {
     set: SetOutcome,
-    /// Observations, as stated once they were all made.
+    /// Number of its observations, as the session states it once they are all made.
     expected: Option<usize>,
     planned: Option<usize>,
 }
@@ -44,81 +41,60 @@ impl<'a> Contents<'a> {
             metadata: None,
             recovered: false,
             inputs: Vec::new(),
-            schemas: HashMap::new(),
-            channels: HashMap::new(),
+            definitions: Definitions::default(),
             sets: Vec::new(),
             estimates: Vec::new(),
             lost: BTreeSet::new(),
-            ended: false,
         }
     }
 
-    pub fn record(&mut self, opcode: u8, body: &[u8]) -> Result<(), ReadError> {
-        if self.ended {
-            return Ok(());
-        }
-        match mcap::parse_record(opcode, body)? {
+    pub fn record(&mut self, record: Record<'_>) -> Result<(), RecordingError> {
+        match record {
             Record::Metadata(metadata) if metadata.name == METADATA => {
                 self.metadata.get_or_insert(metadata.metadata);
             }
             Record::Metadata(metadata) => self.recovered |= metadata.name == RECOVERED,
             Record::Attachment { header, data, .. } => {
-                // Input files are texts; another attachment is not ours, and shows in the hash.
+                // Input files are texts; any other attachment changes the hash.
                 self.inputs.push((header.name, String::from_utf8_lossy(&data).into_owned()));
             }
-            Record::Schema { header, .. } => {
-                self.schemas.insert(header.id, header.name);
+            Record::Message { header, data } => {
+                if let Err(reason) = self.message(header.channel_id, &data) {
+                    let topic = self.definitions.names(header.channel_id).unwrap_or_default().0;
+                    return Err(invalid(topic, header.sequence, reason));
+                }
             }
-            Record::Channel(channel) => {
-                self.channels.insert(channel.id, (channel.topic, channel.schema_id));
-            }
-            Record::Message { header, data } => self.message(&header, &data)?,
-            Record::DataEnd(_) => self.ended = true,
-            _ => {}
+            definition => self.definitions.learn(definition),
         }
         Ok(())
     }
 
-    fn message(&mut self, header: &records::MessageHeader, data: &[u8]) -> Result<(), RecordingError> {
-        // Another program's messages are found out by the missing session.
-        let Some((topic, schema)) = self.channels.get(&header.channel_id).cloned() else { return Ok(()) };
-        if self.options.dropped_topics.iter().any(|dropped| lies_below(&topic, dropped)) {
+    fn message(&mut self, channel: u16, data: &[u8]) -> Result<(), String> {
+        // A message without a channel is skipped; if it was the session, its absence is told at the end.
+        let Some((topic, schema)) = self.definitions.names(channel) else { return Ok(()) };
+        if self.options.drop(topic) {
             return Ok(());
         }
-        let schema = self.schemas.get(&schema).map_or("none", String::as_str).to_owned();
-        if self.is_of_a_lost_set(&topic, &schema, data) {
+        let Some(decoder) = Own::decoder(topic, schema)? else { return Ok(()) };
+        let own = decoder(data).map_err(|error| error.to_string())?;
+        if self.is_of_a_lost_set(&own) {
             return Ok(());
         }
-        let read = match topic.as_str() {
-            "/session" => decode(&schema, data).and_then(|message| self.session(&message)),
-            "/session/end" => decode(&schema, data).and_then(|message| self.session_end(&message)),
-            "/nest" => decode(&schema, data).and_then(|message| self.nest(&message)),
-            "/dropped" => decode(&schema, data).and_then(|message| self.dropped(message)),
-            measurement if lies_below(measurement, "/measurement") => {
-                decode(&schema, data).and_then(|message| self.observation(&message))
-            }
-            estimate if estimate.starts_with("/estimate/") => {
-                decode(&schema, data).and_then(|message| self.estimate(message))
-            }
-            _ => Ok(()),
-        };
-        read.map_err(|reason| RecordingError::InvalidMessage { topic, sequence: header.sequence, reason })
+        match own {
+            Own::Session(message) => self.session(&message),
+            Own::SessionEnd(message) => self.session_end(&message),
+            Own::Nest(message) => self.nest(&message),
+            Own::Dropped(message) => self.dropped(message),
+            Own::Observation(message) => self.observation(&message),
+            Own::Estimate(message) => self.estimate(message),
+        }
     }
 
     /// Whether a message belongs to a set whose session is not in a recovered file.
-    fn is_of_a_lost_set(&mut self, topic: &str, schema: &str, data: &[u8]) -> bool {
-        let key = match topic {
-            _ if !self.recovered => return false,
-            "/session/end" => decode(schema, data).map(|message: v1::SessionEnd| message.set),
-            "/nest" => decode(schema, data).map(|message: v1::BaseNest| message.set),
-            "/dropped" => decode(schema, data).map(|message: v1::DroppedPose| message.set),
-            _ if lies_below(topic, "/measurement") => {
-                decode(schema, data).map(|message: v1::Observation| message.set)
-            }
-            _ => return false,
-        };
-        // What is no message of ours is refused where it is read.
-        let Some(kind) = key.ok().and_then(|key| schema::set_kind(&key).ok()) else { return false };
+    fn is_of_a_lost_set(&mut self, own: &Own) -> bool {
+        let key = own.set().filter(|_| self.recovered);
+        // An unknown key is refused below, where the message is read.
+        let Some(kind) = key.and_then(|key| schema::set_kind(key).ok()) else { return false };
         let lost = !self.sets.iter().any(|known| known.set.kind == kind);
         if lost {
             self.lost.insert(kind);
@@ -174,7 +150,7 @@ impl<'a> Contents<'a> {
     }
 
     fn observation(&mut self, message: &v1::Observation) -> Result<(), String> {
-        // Where something was lost, or nobody counted, the observations that are there are taken in their order.
+        // Where some were lost, or another program did not number them, the observations are taken in the order of the file.
         let counted = self.metadata.is_some() && !self.recovered;
         let set = &mut self.set(&message.set)?.set;
         let place = set.measurements.observations.len();
@@ -213,7 +189,8 @@ impl<'a> Contents<'a> {
     }
 
     pub fn finish(mut self) -> Result<Recording, RecordingError> {
-        let topics: BTreeSet<String> = self.channels.values().map(|(topic, _)| topic.clone()).collect();
+        let topics: BTreeSet<String> =
+            self.definitions.channels.values().map(|channel| channel.topic.clone()).collect();
         for dropped in &self.options.dropped_topics {
             if !topics.iter().any(|topic| lies_below(topic, dropped)) {
                 let known = topics.into_iter().collect();
@@ -231,11 +208,8 @@ impl<'a> Contents<'a> {
         if fitted.is_none_or(|known| known.set.measurements.observations.is_empty()) {
             return Err(RecordingError::NoMeasurements { sets });
         }
-        let dropped = |kind: SetKind| {
-            let topic = format!("/measurement/{}", kind.key());
-            self.options.dropped_topics.iter().any(|dropped| lies_below(&topic, dropped))
-        };
-        self.sets.retain(|known| !dropped(known.set.kind));
+        let options = self.options;
+        self.sets.retain(|known| !options.drop(&format!("/measurement/{}", known.set.kind.key())));
         let mut missing = Vec::new();
         for SetInProgress { set, expected, planned } in &self.sets {
             let (kind, found) = (set.kind, set.measurements.observations.len());
@@ -247,7 +221,7 @@ impl<'a> Contents<'a> {
                 Some(expected) => {
                     return Err(RecordingError::MissingMeasurements { set: kind.key(), expected, found });
                 }
-                // Other programs need not say when a set ends.
+                // Other programs may leave out the end of a set.
                 None if provenance.is_none() && !self.recovered => {}
                 None => missing.push(MissingPart { kind, found, expected: *planned }),
             }
@@ -263,11 +237,6 @@ impl<'a> Contents<'a> {
             estimates: self.estimates,
         })
     }
-}
-
-/// Whether `topic` is `root` or lies below it.
-fn lies_below(topic: &str, root: &str) -> bool {
-    topic.strip_prefix(root).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
 }
 
 fn count(value: u32) -> Result<usize, String> {

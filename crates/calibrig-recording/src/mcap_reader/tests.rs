@@ -53,8 +53,8 @@ fn rewritten_with(
     }
     let mut channels: HashMap<u16, (String, u16)> = HashMap::new();
     let mut schemas = HashMap::new();
-    scan(&mut Cursor::new(bytes), &mut |opcode, body| {
-        match mcap::parse_record(opcode, body).expect("sound") {
+    read_records(&mut Cursor::new(bytes), &mut |record| {
+        match record {
             Record::Metadata(mut metadata) => {
                 let mut kept = true;
                 for (key, value) in &mut metadata.metadata {
@@ -95,12 +95,11 @@ fn rewritten_with(
                     writer.write_to_known_channel(&header, &data).expect("written");
                 }
             }
-            Record::DataEnd(_) => return Err(RecordingError::NotMcap.into()),
             _ => {}
         }
         Ok(())
     })
-    .expect_err("stopped at the end of the data");
+    .expect("sound");
     writer.finish().expect("finished");
     drop(writer);
     file.into_inner()

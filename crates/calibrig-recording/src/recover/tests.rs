@@ -6,12 +6,13 @@ use std::io::{BufWriter, Cursor};
 use std::rc::Rc;
 
 use mcap::records::op;
+use mcap::sans_io::linear_reader::LinearReaderOptions;
 use mcap::{MessageStream, WriteOptions};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::mcap_reader::read_from;
-use crate::scan::scan_whole;
+use crate::records::pull;
 use crate::{McapRecorder, Measured, Preamble, ReadOptions, Recorder, Recording, TrueSetting, synthetic};
 use calibrig_estimation::identification::Estimate;
 use calibrig_model::measurement::SetKind;
@@ -48,7 +49,7 @@ fn messages(sound: &[u8]) -> Vec<Said> {
 
 fn attachments(sound: &[u8]) -> Vec<(String, Vec<u8>)> {
     let mut found = Vec::new();
-    scan_whole(&mut Cursor::new(sound), &mut |opcode, body| {
+    pull(&mut Cursor::new(sound), LinearReaderOptions::default(), &mut |opcode, body| {
         if let Record::Attachment { header, data, .. } = mcap::parse_record(opcode, body)? {
             found.push((header.name, data.into_owned()));
         }
@@ -68,7 +69,7 @@ fn is_part<T: PartialEq>(part: &[T], whole: &[T]) -> bool {
 fn records(sound: &[u8]) -> Vec<(usize, u8)> {
     let mut at = mcap::MAGIC.len();
     let mut found = Vec::new();
-    scan_whole(&mut Cursor::new(sound), &mut |opcode, body| {
+    pull(&mut Cursor::new(sound), LinearReaderOptions::default(), &mut |opcode, body| {
         found.push((at, opcode));
         at += 9 + body.len();
         Ok(())
@@ -424,7 +425,7 @@ fn chunks_that_no_checksum_vouches_for_are_looked_into_and_told() {
     // The length of the first record in it.
     nested[at + 9 + 40 + 1] = 0xff;
     let inspection = inspected(&nested).expect("inspected");
-    assert_eq!(inspection.health.lost.get(&Part::Chunk), Some(&1));
+    assert_eq!(inspection.health.lost.get(&FaultyPart::Chunk), Some(&1));
 }
 
 #[test]
@@ -438,7 +439,7 @@ fn chunks_of_an_unknown_compression_are_not_looked_into() {
     other[end - 4..end].fill(0);
     let whole = inspected(&other).expect("inspected");
     assert_eq!((whole.health.state, whole.recoverable.messages), (State::Whole, 0));
-    assert_eq!(whole.health.lost.get(&Part::OpaqueChunk), Some(&whole.health.chunks));
+    assert_eq!(whole.health.lost.get(&FaultyPart::OpaqueChunk), Some(&whole.health.chunks));
     let refused = read(&other);
     assert!(
         matches!(&refused, Err(ReadError::Recording(RecordingError::UnknownCompression { compression })) if compression == "zst9"),
