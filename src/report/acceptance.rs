@@ -7,9 +7,10 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use serde_json::{Value, json};
 
-use super::ReportError;
-use super::html::head;
-use super::plots::{self, Drawn, GRID, LOOKS, foot, ink, px, text_style, values_below};
+use super::files::ReportError;
+use super::markup::head;
+use super::plots;
+use super::plots::{Drawn, GRID, LOOKS, foot, ink, px, text_style, values_below};
 use crate::pipeline::{AcceptanceOutcome, Finding, Ratios, Test};
 
 /// Instruments whose largest errors are drawn; of more, these many first ones are.

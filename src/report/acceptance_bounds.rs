@@ -7,11 +7,11 @@ use maud::{Markup, html};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::counted;
-use super::html::{key, number};
-use super::json::finite;
+use super::document::finite;
+use super::markup::key;
 use super::plots::look;
-use super::tables::{Ink, Style, aligned, millimetres, wrap};
+use super::terminal::{Ink, Style, aligned, millimetres, wrap};
+use super::words::{counted, number};
 use crate::pipeline::{Outcome, SetKind};
 use calibrig_estimation::evaluation::{Acceptance, accept};
 use calibrig_estimation::identification::Mode;

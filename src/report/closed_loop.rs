@@ -6,11 +6,15 @@ use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
 
 use super::acceptance_bounds::by_pose;
-use super::html::{error_table, figure, key, number};
-use super::json::{JsonDropped, JsonRow, JsonSet, finite, json_row};
-use super::plots::{self, Curve, look};
-use super::tables::{Ink, Style, aligned, error_lines, millimetres, printable, wrap};
-use super::{ErrorRow, ReportError, counted, pose_count, published};
+use super::accuracy::{ErrorRow, error_lines, error_table, published};
+use super::document::{JsonDropped, dropped, finite};
+use super::files::ReportError;
+use super::markup::{figure, key};
+use super::plots;
+use super::plots::{Curve, look};
+use super::sets::{JsonRow, JsonSet, json_row};
+use super::terminal::{Ink, Style, aligned, millimetres, wrap};
+use super::words::{counted, number, pose_count, printable};
 use crate::pipeline::{Outcome, SetKind};
 use calibrig_estimation::evaluation::AccuracyRow;
 use calibrig_estimation::evaluation::closed_loop::{ClosedLoop, DrivenMode, DrivenPath, DrivenPoseTest};
@@ -129,10 +133,6 @@ fn criterion_words(criterion: Option<Criterion>) -> String {
         Some(Criterion::MANIPULABILITY) => "far from singular poses".to_owned(),
         Some(criterion) => format!("least {criterion}"),
     }
-}
-
-fn dropped(poses: &[(u32, String)]) -> Vec<JsonDropped> {
-    poses.iter().map(|(pose, why)| JsonDropped { pose: *pose, why: why.clone() }).collect()
 }
 
 /// The largest error of every pose, m.
@@ -546,7 +546,8 @@ fn path_figure(path: &DrivenPath) -> Result<String, ReportError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::{html_report, json_report, render_tables, sample};
+    use crate::report::tests::sample;
+    use crate::report::{html_report, json_report, render_tables};
 
     /// The figures of the rows are those of the driven points, wherever they are told.
     #[test]

@@ -3,7 +3,7 @@
 use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
 
-use super::counted;
+use super::words::counted;
 use crate::pipeline::Outcome;
 use calibrig_model::measurement::{DriftVerdict, MissingForDrift, StationDrift};
 

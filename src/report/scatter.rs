@@ -6,9 +6,8 @@ use maud::{Markup, html};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::json::finite;
-use super::summary::significant;
-use super::{counted, set_title};
+use super::document::{axes, finite};
+use super::words::{counted, percent, set_title, significant};
 use crate::pipeline::{Judgement, Outcome, SetKind};
 use calibrig_estimation::evaluation::{RepeatScatter, ScatterComparison};
 
@@ -56,10 +55,6 @@ pub struct JsonRepeatScatter {
     pub band: [Option<f64>; 2],
 }
 
-fn axes(v: Vector3<f64>) -> [Option<f64>; 3] {
-    [finite(v.x), finite(v.y), finite(v.z)]
-}
-
 fn json_scatter(scatter: &ScatterComparison) -> JsonScatter {
     JsonScatter {
         readings: scatter.readings,
@@ -83,18 +78,6 @@ pub(super) fn json_scatters(outcome: &Outcome, judgement: &Judgement) -> BTreeMa
     let sets = outcome.sets.iter().zip(&judgement.scatter);
     sets.filter_map(|(set, scatter)| Some((set.kind.key().to_owned(), json_scatter(scatter.as_ref()?))))
         .collect()
-}
-
-/// A part of a whole in per cent, with a decimal where it is small.
-pub(super) fn percent(share: f64) -> String {
-    let percent = 1e2 * share.clamp(0.0, 1.0);
-    if percent >= 9.95 || percent == 0.0 {
-        format!("{percent:.0} %")
-    } else if percent >= 0.1 {
-        format!("{percent:.1} %")
-    } else {
-        "less than 0.1 %".to_owned()
-    }
 }
 
 /// Three lengths in µm.

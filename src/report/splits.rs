@@ -5,10 +5,9 @@ use std::fmt::Write;
 use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
 
-use super::counted;
-use super::html::number;
-use super::json::finite;
-use super::tables::{Ink, Style, TITLE, millimetres, wrap};
+use super::document::finite;
+use super::terminal::{Ink, Style, TITLE, millimetres, wrap};
+use super::words::{counted, number};
 use crate::pipeline::{SplitMode, SplitStudy};
 use calibrig_estimation::evaluation::Interval;
 
@@ -172,7 +171,8 @@ pub(super) fn split_section(study: &SplitStudy) -> Markup {
 mod tests {
     use super::*;
     use crate::pipeline::SplitPlan;
-    use crate::report::{html_report, json_text, render_tables, sample};
+    use crate::report::tests::sample;
+    use crate::report::{html_report, json_text, render_tables};
     use calibrig_estimation::identification::Mode;
 
     #[test]

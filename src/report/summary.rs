@@ -2,10 +2,14 @@
 
 use nalgebra::Vector3;
 
-use super::parameters::{fitted, parameter_rows, printed_unit, truth_of, unfitted_deviations};
-use super::{consistency_ratio, counted, published};
+use super::accuracy::row;
+use super::accuracy::{judged_set, published};
+use super::parameters::{fitted, parameter_rows, truth_of, unfitted_deviations};
+use super::words::{
+    capital, consistency_ratio, counted, factor_words, length_words, printed_unit, signed_percent,
+    significant,
+};
 use crate::pipeline::{ModeOutcome, Outcome, SetKind};
-use calibrig_estimation::evaluation::AccuracyRow;
 use calibrig_estimation::identification::{Estimate, Mode, NoiseScale, ParameterEstimate};
 use calibrig_model::statistics::NORMAL_95;
 
@@ -16,61 +20,6 @@ const AXES: [&str; 3] = ["x", "y", "z"];
 pub(super) struct Summary {
     pub improved: Vec<String>,
     pub remains: Vec<String>,
-}
-
-/// The set that a run is judged by: the held-out one where there is one.
-pub(super) fn judged_set(outcome: &Outcome) -> Option<usize> {
-    let measured =
-        |kind| outcome.sets.iter().position(|s| s.kind == kind && !s.measurements.observations.is_empty());
-    measured(SetKind::Verification).or_else(|| measured(SetKind::Identification))
-}
-
-pub(super) fn row(mode: &ModeOutcome, set: usize) -> Option<AccuracyRow> {
-    mode.rows.get(set).copied().flatten()
-}
-
-/// A length with three significant digits in mm, at most three decimals; in µm below 0.01 mm.
-pub(super) fn length_words(metres: f64) -> String {
-    if !metres.is_finite() {
-        return "unknown".to_owned();
-    }
-    let (value, unit) = if metres.abs() < 1e-5 { (1e6 * metres, "µm") } else { (1e3 * metres, "mm") };
-    // The unit stays on the line of its number.
-    format!("{}\u{a0}{unit}", significant(value))
-}
-
-/// Three significant digits, at most three decimals.
-pub(super) fn significant(value: f64) -> String {
-    if !value.is_finite() {
-        return "unknown".to_owned();
-    }
-    if value.abs() >= 1e6 {
-        return format!("{value:.2e}");
-    }
-    let decimals = if value.abs() >= 99.95 {
-        0
-    } else if value.abs() >= 9.995 {
-        1
-    } else if value.abs() >= 0.9995 {
-        2
-    } else {
-        3
-    };
-    format!("{value:.decimals$}").replace('-', "\u{2212}")
-}
-
-/// "9.4 times less than `reference`", "1.3 times more than ...", "as much as ...".
-pub(super) fn factor_words(before: f64, after: f64, reference: &str) -> String {
-    let factor = before / after;
-    if !factor.is_finite() || factor <= 0.0 {
-        format!("not comparable with {reference}")
-    } else if factor >= 1.005 {
-        format!("{} times less than {reference}", significant(factor))
-    } else if factor <= 0.995 {
-        format!("{} times more than {reference}", significant(1.0 / factor))
-    } else {
-        format!("as much as {reference}")
-    }
 }
 
 /// The sentences of a run.
@@ -280,23 +229,10 @@ fn parameters_against_truth(outcome: &Outcome, say: &mut Vec<String>) {
     }
 }
 
-fn signed_percent(share: f64) -> String {
-    if share.is_finite() {
-        format!("{:+.0}\u{a0}%", 100.0 * share).replace('-', "\u{2212}")
-    } else {
-        "an unknown amount".to_owned()
-    }
-}
-
-fn capital(text: &str) -> String {
-    let mut letters = text.chars();
-    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::sample;
+    use crate::report::tests::sample;
 
     #[test]
     fn lengths_and_factors_read_well() {

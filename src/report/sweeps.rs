@@ -5,7 +5,7 @@ use std::fmt::Write;
 use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
 
-use super::counted;
+use super::words::counted;
 use crate::pipeline::{Outcome, swept_stations};
 use calibrig_estimation::circle_points::{SweptAxis, SweptStation};
 use calibrig_model::JointKind;

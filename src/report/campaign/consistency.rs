@@ -4,14 +4,14 @@ use std::collections::BTreeMap;
 
 use maud::{Markup, html};
 
-use super::dots::{Dot, Panel, dots};
 use super::sweep::{MOST_ROWS, group_words};
 use super::words::{NONE, count, drawn, estimate, mean, share, with_half};
 use crate::montecarlo::{BAND, CampaignSummary, GroupSummary, ModeSummary, ParameterSummary};
-use crate::report::ReportError;
-use crate::report::html::{key, number};
-use crate::report::parameters::{parameter_words, printed_unit};
+use crate::report::files::ReportError;
+use crate::report::markup::key;
 use crate::report::plots::look;
+use crate::report::rows::{Dot, FAR, Panel, dots};
+use crate::report::words::{number, parameter_words, printed_unit};
 use calibrig_campaign::statistics::{Estimate, Interval};
 use calibrig_model::ParameterId;
 
@@ -70,11 +70,10 @@ fn overview(summary: &CampaignSummary, is_one: bool) -> Result<String, ReportErr
         groups.iter().map(|group| (group_words(group), fitted(group).collect())).collect()
     };
     let names: Vec<_> = rows.iter().map(|(name, _)| name.clone()).collect();
-    let panel = |title: &str, zero: f64, dot: &dyn Fn(&ModeSummary) -> Option<Dot>| Panel {
-        title: title.to_owned(),
-        zero,
-        bars: false,
-        rows: rows.iter().map(|(_, modes)| modes.iter().filter_map(|mode| dot(mode)).collect()).collect(),
+    let panel = |title: &str, zero: f64, dot: &dyn Fn(&ModeSummary) -> Option<Dot>| {
+        let rows =
+            rows.iter().map(|(_, modes)| modes.iter().filter_map(|mode| dot(mode)).collect()).collect();
+        Panel { far: FAR, ..Panel::of(title, zero, rows) }
     };
     let panels: Vec<_> = [
         panel("NEES a parameter", 1.0, &nees_dot),
@@ -224,16 +223,13 @@ fn parameter_figure(
         interval: estimate.interval.map(|interval| (interval.low, interval.high)),
         band: None,
     };
-    let panel =
-        |title: &str, zero: f64, dot: &dyn Fn(&ModeSummary, &ParameterSummary) -> Option<Dot>| Panel {
-            title: title.to_owned(),
-            zero,
-            bars: false,
-            rows: rows
-                .iter()
-                .map(|(_, cells)| cells.iter().filter_map(|(mode, p)| dot(mode, p)).collect())
-                .collect(),
-        };
+    let panel = |title: &str, zero: f64, dot: &dyn Fn(&ModeSummary, &ParameterSummary) -> Option<Dot>| {
+        let rows = rows
+            .iter()
+            .map(|(_, cells)| cells.iter().filter_map(|(mode, p)| dot(mode, p)).collect())
+            .collect();
+        Panel { far: FAR, ..Panel::of(title, zero, rows) }
+    };
     let covered = |mode: &ModeSummary, p: &ParameterSummary| {
         let (low, high) = p.coverage.interval(BAND);
         Some(Dot {

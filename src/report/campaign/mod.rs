@@ -2,7 +2,6 @@
 
 mod consistency;
 mod distribution;
-mod dots;
 mod sensitivity;
 mod sweep;
 mod sweep_figure;
@@ -12,15 +11,15 @@ mod words;
 
 use std::fmt::Write;
 
+use maud::{DOCTYPE, Markup, html};
+use words::{count, level, millimetres, name, shown};
+
+use crate::montecarlo::{CampaignSummary, GroupSummary, ModeSummary};
+use crate::report::markup::head;
+use crate::report::words::{cut, length_words};
 use calibrig_campaign::design::Design;
 use calibrig_campaign::plan::quoted;
 use calibrig_campaign::statistics::Convergence;
-use maud::{DOCTYPE, Markup, html};
-
-use super::html::head;
-use super::summary::length_words;
-use crate::montecarlo::{CampaignSummary, GroupSummary, ModeSummary};
-use words::{count, cut, level, millimetres, name, shown};
 
 /// Kinds of reasons that are told.
 const REASONS: usize = 20;

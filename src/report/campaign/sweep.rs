@@ -9,8 +9,9 @@ use super::words::{
     NONE, count, decimals, drawn, estimate, level, levels, mean, millimetres, name, rate, set_words, unit,
 };
 use crate::montecarlo::{CampaignSummary, GroupSummary, SetSummary};
-use crate::report::html::{key, number};
+use crate::report::markup::key;
 use crate::report::plots::look;
+use crate::report::words::number;
 use calibrig_estimation::identification::Mode;
 
 /// Rows of a table; what is beyond is in the files.

@@ -1,13 +1,11 @@
 //! Numbers and names as the page has them.
 
-use calibrig_campaign::statistics::{Estimate, Interval};
 use maud::{Markup, PreEscaped, html};
 
-use crate::montecarlo::AccuracySet;
-use crate::montecarlo::{GroupSummary, MeanWithInterval, Rate};
-use crate::report::ReportError;
-use crate::report::html::number;
-use crate::report::tables::printable;
+use crate::montecarlo::{AccuracySet, GroupSummary, MeanWithInterval, Rate};
+use crate::report::files::ReportError;
+use crate::report::words::{cut, number};
+use calibrig_campaign::statistics::{Estimate, Interval};
 
 /// Characters of a text from a file that are shown.
 const LONGEST: usize = 400;
@@ -21,13 +19,6 @@ pub(super) const NONE: &str = "\u{2013}";
 /// A text from a file, on one line.
 pub(super) fn shown(text: &str) -> String {
     cut(text, LONGEST)
-}
-
-/// The first `most` characters, and that there are more.
-pub(super) fn cut(text: &str, most: usize) -> String {
-    let short: String = text.chars().take(most).collect();
-    let more = if short.len() < text.len() { "\u{2026}" } else { "" };
-    printable(&format!("{}{more}", short.trim()))
 }
 
 /// Characters of a level or of the name of a factor that are shown.

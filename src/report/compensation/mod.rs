@@ -14,10 +14,11 @@ pub use rows::{commands_csv, compensated_csv, grid_csv};
 
 use std::path::Path;
 
-use super::summary::length_words;
-use super::tables::{Ink, Style, TITLE, printable, wrap};
-use super::{ReportError, counted, stage};
 use crate::compensate::{Actuator, Compensation, Corrected, End, Lengths};
+use crate::report::document::json_text;
+use crate::report::files::{ReportError, write_all};
+use crate::report::terminal::{Ink, Style, TITLE, wrap};
+use crate::report::words::{counted, length_words, printable};
 use calibrig_estimation::compensation::CompensatedPoint;
 
 /// Names of all files.
@@ -31,9 +32,7 @@ const LISTED: usize = 20;
 
 /// The text of `compensation.json`.
 pub fn compensation_json_text(made: &Compensation) -> Result<String, ReportError> {
-    let mut json = serde_json::to_string_pretty(&json_compensation(made))?;
-    json.push('\n');
-    Ok(json)
+    json_text(&json_compensation(made))
 }
 
 /// Writes the files to `folder`, which exists, and tells which: without goals no tables of them, without a grid no `grid.csv`. All are complete before one
@@ -49,13 +48,7 @@ pub fn write_compensation(made: &Compensation, folder: &Path) -> Result<Vec<&'st
     if let Some(grid) = &made.grid {
         files.push(("grid.csv", grid_csv(grid)?));
     }
-    let mut staged = Vec::new();
-    for (name, text) in &files {
-        staged.push(stage(folder, name, text)?);
-    }
-    for (file, path) in staged {
-        file.persist(&path).map_err(|e| ReportError::Write { path, source: e.error })?;
-    }
+    write_all(folder, &files)?;
     Ok(files.into_iter().map(|(name, _)| name).collect())
 }
 

@@ -5,8 +5,9 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 use super::figure::{BEFORE, MARKED, SURE, arrow_factor, command_figure, size_figure, way_figure};
 use super::{bend_ratio, listed, marks, sentences, title, with_unit};
 use crate::compensate::{Compensation, Lengths};
-use crate::report::html::{head, key, number};
-use crate::report::{ReportError, counted};
+use crate::report::files::ReportError;
+use crate::report::markup::{head, key};
+use crate::report::words::{counted, number};
 use calibrig_estimation::compensation::{CompensatedPoint, CorrectionGrid, GridSpread};
 
 /// The page of corrected commands.

@@ -14,10 +14,12 @@ use std::path::Path;
 
 use nalgebra::Vector3;
 
-use super::summary::{length_words, significant};
-use super::tables::{Ink, Style, TITLE, printable, wrap};
-use super::{ReportError, counted, stage};
 use crate::pipeline::{Iso9283Outcome, Iso9283Pose, Iso9283Target};
+use crate::report::document::json_text;
+use crate::report::files::{ReportError, write_all};
+use crate::report::terminal::{Ink, Style, TITLE, wrap};
+use crate::report::words::percent;
+use crate::report::words::{counted, length_words, printable, significant};
 use calibrig_estimation::evaluation::iso9283::{OrientationAccuracy, OrientationRepeatability};
 
 /// Width of a column of numbers.
@@ -28,21 +30,13 @@ const RECALLED: &str =
 
 /// The text of `iso9283.json`.
 pub fn iso9283_json_text(outcome: &Iso9283Outcome) -> Result<String, ReportError> {
-    let mut json = serde_json::to_string_pretty(&json_iso9283(outcome))?;
-    json.push('\n');
-    Ok(json)
+    json_text(&json_iso9283(outcome))
 }
 
 /// Writes `iso9283.html` and `iso9283.json` to `folder`, which exists. Both are complete before one takes its name.
 pub fn write_iso9283(outcome: &Iso9283Outcome, folder: &Path) -> Result<(), ReportError> {
-    let staged = [
-        stage(folder, "iso9283.html", &iso9283_html(outcome)?)?,
-        stage(folder, "iso9283.json", &iso9283_json_text(outcome)?)?,
-    ];
-    for (file, path) in staged {
-        file.persist(&path).map_err(|e| ReportError::Write { path, source: e.error })?;
-    }
-    Ok(())
+    let (page, document) = (iso9283_html(outcome)?, iso9283_json_text(outcome)?);
+    write_all(folder, &[("iso9283.html", page), ("iso9283.json", document)])
 }
 
 /// P1 to P5 of a cube; of a file, its own numbers.
@@ -96,7 +90,7 @@ fn sentences(outcome: &Iso9283Outcome) -> Vec<String> {
         if let Some(over) = target.over_stated {
             let noise = format!("{of}the readings' stated noise");
             lines.push(if over.ratio > over.band.1 {
-                let share = super::scatter::percent(1.0 / over.ratio);
+                let share = percent(1.0 / over.ratio);
                 format!("{noise} makes {share} of the variance of that scatter, the machine the rest")
             } else if over.ratio < over.band.0 {
                 let ratio = significant(over.ratio.sqrt());

@@ -5,8 +5,9 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 use super::figure::{accuracy_figure, look_of, scatter_figure};
 use super::{ANGLES, RECALLED, pose_name, pose_names, sentences, title_of};
 use crate::pipeline::{AccuracyAgainst, Iso9283Outcome, Iso9283Pose, Iso9283Target};
-use crate::report::html::{head, key, number};
-use crate::report::{ReportError, counted};
+use crate::report::files::ReportError;
+use crate::report::markup::{head, key};
+use crate::report::words::{counted, number};
 use calibrig_estimation::evaluation::iso9283::{OrientationAccuracy, OrientationRepeatability};
 
 /// The page of a test.

@@ -4,22 +4,23 @@ mod figures;
 mod json;
 
 pub use json::{
-    JsonConfidence, JsonCorrelation, JsonInfluence, JsonJudgement, JsonPattern, JsonPoint, JsonRegion,
-    JsonSupport,
+    JsonConfidence, JsonCorrelation, JsonInfluence, JsonJudgement, JsonOutlier, JsonPattern, JsonPoint,
+    JsonRegion, JsonSupport,
 };
 
 pub(super) use json::json_judgement;
 
 use maud::{Markup, PreEscaped, html};
 
-use self::figures::{map_figure, pattern_figure};
-use super::html::number;
-use super::parameters::{parameter_words, printed_unit};
-use super::scatter::scatter_words;
-use super::summary::{length_words, significant};
-use super::tables::{Ink, Style, printable, wrap};
-use super::{ReportError, counted};
+use self::figures::{MARKED, map_figure, pattern_figure};
 use crate::pipeline::{Confidence, Judgement, Outcome, PredictedPosition, SetKind};
+use crate::report::files::ReportError;
+use crate::report::plots::thinned_words;
+use crate::report::scatter::scatter_words;
+use crate::report::terminal::{Ink, Style, wrap};
+use crate::report::words::{
+    counted, length_words, number, parameter_words, printable, printed_unit, significant,
+};
 use calibrig_estimation::evaluation::{Cause, ResidualPattern};
 use calibrig_estimation::identification::{Mode, Outlier};
 use calibrig_model::ParameterId;
@@ -124,6 +125,7 @@ pub(super) fn residual_section(outcome: &Outcome) -> Result<Markup, ReportError>
                     figcaption {
                         "Error (measured minus predicted, mm) of the identification set where it " (pattern.description)
                         ". The line joins the means of classes of equal width."
+                        (thinned_words(mode.errors.first().map_or(0, Vec::len), MARKED))
                         @if matches!(pattern.cause, Cause::Joint(_) | Cause::MotorTurn(_) | Cause::Approach(_)) {
                             " \u{201c}Along the motion\u{201d} is the direction in which this actuator moves the target in each pose."
                         }

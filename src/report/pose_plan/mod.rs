@@ -9,10 +9,10 @@ pub use page::plan_html;
 
 use std::path::Path;
 
-use super::parameters::{parameter_words, printed_unit};
-use super::tables::{Ink, Style, printable, wrap};
-use super::{ReportError, counted, stage};
 use crate::pose_plan::{PosePlan, plan_csv};
+use crate::report::files::{ReportError, write_all};
+use crate::report::terminal::{Ink, Style, wrap};
+use crate::report::words::{counted, parameter_words, printable, printed_unit};
 use calibrig_estimation::planning::OrderCost;
 
 /// Parameters that are named because the poses tell least of them.
@@ -20,15 +20,8 @@ const WEAKEST: usize = 6;
 
 /// Writes `plan.csv`, `plan.json` and `plan.html` to `folder`, which exists. All are complete before one takes its name.
 pub fn write_plan(plan: &PosePlan, folder: &Path) -> Result<(), ReportError> {
-    let staged = [
-        stage(folder, "plan.html", &plan_html(plan)?)?,
-        stage(folder, "plan.json", &plan_json_text(plan)?)?,
-        stage(folder, "plan.csv", &plan_csv(plan))?,
-    ];
-    for (file, path) in staged {
-        file.persist(&path).map_err(|e| ReportError::Write { path, source: e.error })?;
-    }
-    Ok(())
+    let (page, document) = (plan_html(plan)?, plan_json_text(plan)?);
+    write_all(folder, &[("plan.html", page), ("plan.json", document), ("plan.csv", plan_csv(plan))])
 }
 
 /// Micrometres of a standard deviation, with the digits that it is worth.

@@ -3,11 +3,12 @@
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::figure::{curve, joints, places};
-use super::{ReportError, WEAKEST, candidate_words, compared, sentences, um};
+use super::{WEAKEST, candidate_words, compared, sentences, um};
 use crate::pose_plan::PosePlan;
-use crate::report::html::{head, key};
-use crate::report::parameters::{parameter_words, printed_unit};
+use crate::report::files::ReportError;
+use crate::report::markup::{head, key};
 use crate::report::plots::LOOKS;
+use crate::report::words::{parameter_words, printed_unit};
 use calibrig_estimation::planning::OrderCost;
 use calibrig_model::JointKind;
 
