@@ -119,7 +119,7 @@ pub struct Outcome {
     pub splits: Option<SplitStudy>,
     /// What corrected commands did on the machine, where the scenario asks for it.
     pub closed_loop: Option<ClosedLoop>,
-    /// The command line that gives the report, where the other fields do not tell it.
+    /// The command line that made the report, with every option; `None` of what no command made.
     pub command: Option<String>,
 }
 

@@ -11,8 +11,8 @@ use super::words::{number, printable, set_title};
 use crate::pipeline::{AblatedPart, Ablation, SetKind};
 use calibrig_estimation::identification::Mode;
 
-const EXPLANATION: &str = "The same poses and random numbers without one part of the machine at a time. A change below zero is what the \
-                           part contributes to the error; it adds to other contributions as squares do rather than as lengths do.";
+const EXPLANATION: &str = "The run is repeated without one part of the machine at a time, with the same poses and random numbers. A change below zero is the error that the \
+                           part causes. Such errors add up as squares, not as lengths.";
 
 /// The judged set's place: the verification set where there is one.
 fn judged(ablation: &Ablation) -> usize {
@@ -28,7 +28,11 @@ fn failures(ablation: &Ablation) -> impl Iterator<Item = (&'static str, &str)> {
 fn doubts(ablation: &Ablation) -> impl Iterator<Item = String> {
     ablation.parts.iter().filter(|part| !part.doubtful.is_empty()).map(|part| {
         let modes: Vec<_> = part.doubtful.iter().map(|mode| mode.title()).collect();
-        format!("without {}: the estimate needs a second look: {}", part.part.title(), modes.join(", "))
+        format!(
+            "without {}: look at the warnings of the estimate first: {}",
+            part.part.title(),
+            modes.join(", ")
+        )
     })
 }
 
@@ -83,13 +87,11 @@ pub(super) fn ablation_lines(ablation: &Ablation, style: Style) -> Vec<String> {
         lines.extend(wrap(&format!("  without {titles}: {removal}"), "    "));
     }
     for words in doubts(ablation) {
-        lines.extend(
-            wrap(&format!("  doubtful {words}"), "    ").iter().map(|l| style.paint(Ink::Warning, l)),
-        );
+        lines.extend(style.told(Ink::Warning, &format!("  doubtful {words}"), "    "));
     }
     for (title, why) in failures(ablation) {
         let words = format!("  no run without {title}: {}", printable(why));
-        lines.extend(wrap(&words, "    ").iter().map(|l| style.paint(Ink::Warning, l)));
+        lines.extend(style.told(Ink::Warning, &words, "    "));
     }
     lines
 }
@@ -118,8 +120,8 @@ pub(super) fn ablation_section(ablation: &Ablation) -> Result<Markup, ReportErro
             h2 { "What each part of the machine contributes" }
             p { (EXPLANATION) }
             (figure(&ablation.modes, &plot, &html! {
-                "Change of the RMS of the 3-D error when a part is removed, " (set_title(kind)) ", mm, a panel a mode on its own scale. The further left, the more the part contributes. "
-                "Runs that are doubtful are left out."
+                "Change of the RMS of the 3-D error when a part is removed, " (set_title(kind)) ", mm, a panel a mode on its own scale. The further left, the more error the part causes. "
+                "Doubtful runs are not drawn; they are named below."
             }, false))
             @for (set, kind) in ablation.sets.iter().enumerate() { (table(ablation, set, *kind)) }
             h3 { "What removing means" }

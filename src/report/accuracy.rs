@@ -44,7 +44,7 @@ pub(super) fn accuracy_section(outcome: &Outcome) -> Markup {
         section #accuracy {
             h2 { "Accuracy" }
             p {
-                "Absolute error of the target position in the base frame, measured minus predicted, in mm."
+                "Absolute error of the target\u{2019}s position in the base frame (measured minus predicted), over all readings, in mm."
                 @if !outcome.published.is_empty() { " Below each row, the published figures for comparison." }
             }
             @for (index, set) in outcome.sets.iter().enumerate() {
@@ -137,8 +137,9 @@ pub(super) fn orientation_table(outcome: &Outcome, index: usize, kind: SetKind) 
     }
 }
 
-pub(super) const COLUMNS: [&str; 8] =
-    ["max x", "mean x", "max y", "mean y", "max z", "mean z", "RMS 3D", "max 3D"];
+/// Poses that were not measured and are named.
+const NAMED: usize = 20;
+const COLUMNS: [&str; 8] = ["max x", "mean x", "max y", "mean y", "max z", "mean z", "RMS 3D", "max 3D"];
 
 pub(super) fn table(outcome: &Outcome, index: usize, set: &SetOutcome, style: Style) -> Vec<String> {
     let mut lines = vec![style.paint(
@@ -161,7 +162,7 @@ pub(super) fn table(outcome: &Outcome, index: usize, set: &SetOutcome, style: St
     }
     if let Some(repeats) = set.measurements.repeats() {
         let words = format!(
-            "repeats of {} scatter by {} mm (RMS 3D of a reading about the mean of its pose, {} more): no model leaves less on single readings",
+            "repeats of {} scatter by {} mm (RMS 3D of a reading about the mean of its pose, {} more): no model can leave less",
             counted(repeats.poses, "pose"),
             millimetres(repeats.rms_3d),
             counted(repeats.repeats, "reading")
@@ -169,10 +170,17 @@ pub(super) fn table(outcome: &Outcome, index: usize, set: &SetOutcome, style: St
         lines.extend(wrap(&words, "    "));
     }
     if !set.dropped.is_empty() {
-        let poses: Vec<_> =
-            set.dropped.iter().map(|(pose, why)| format!("{pose} ({})", printable(why))).collect();
-        let words = format!("{} not measured: {}", counted(set.dropped.len(), "pose"), poses.join(", "));
-        lines.extend(wrap(&words, "    ").iter().map(|l| style.paint(Ink::Warning, l)));
+        let poses: Vec<_> = set
+            .dropped
+            .iter()
+            .take(NAMED)
+            .map(|(pose, why)| format!("{pose} ({})", printable(why)))
+            .collect();
+        let more = set.dropped.len().saturating_sub(NAMED);
+        let more = if more > 0 { format!(", and {more} more: report.json") } else { String::new() };
+        let words =
+            format!("{} not measured: {}{more}", counted(set.dropped.len(), "pose"), poses.join(", "));
+        lines.extend(style.told(Ink::Warning, &words, "    "));
     }
     lines
 }
@@ -217,4 +225,17 @@ pub(super) fn as_published(metres: f64) -> String {
     let Some(point) = text.find('.') else { return text };
     let kept = text.trim_end_matches('0').len().max(point + 2);
     format!("{:<width$}", &text[..kept], width = text.len())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn published_figures_align_on_the_point_without_invented_digits() {
+        assert_eq!(millimetres(0.0147), "14.700");
+        assert_eq!(as_published(0.0147), "14.7  ");
+        assert_eq!(as_published(0.0020), "2.0  ");
+        assert_eq!(as_published(0.000_123), "0.123");
+    }
 }

@@ -6,12 +6,12 @@ use super::files::ReportError;
 use super::markup::{figure, key};
 use super::plots::look;
 use super::plots::{
-    Area, Axes, Drawn, MARKS, WIDTH, centred, curve, drawable, finite_range, foot, ink, largest, markers,
+    Area, Axes, MARKS, WIDTH, centred, curve, drawable, finite_range, foot, ink, largest, markers,
     one_two_five, px, sampled, svg, thinned, thinned_words, vertical_ticks,
 };
 use super::region;
 use super::words::{counted, number, set_title};
-use crate::pipeline::{ModeOutcome, Outcome, SetKind};
+use crate::pipeline::{ModeOutcome, Outcome};
 use plotters::prelude::*;
 
 pub(super) fn errors_section(outcome: &Outcome) -> Result<Markup, ReportError> {
@@ -216,4 +216,79 @@ fn set_columns<'a>(outcome: &Outcome, area: &Area<'a>) -> Vec<(usize, Area<'a>)>
     }
     let columns = area.split_evenly((1, counts.len().max(1)));
     counts.iter().map(|(set, _)| *set).zip(columns).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::plots::{LOOKS, hex};
+    use crate::report::tests::sample;
+    use nalgebra::Vector3;
+
+    #[test]
+    fn quantiles_by_hand() {
+        let values = [1.0, 2.0, 3.0, 4.0];
+        assert_eq!(
+            [0.25, 0.5, 0.51, 0.95, 1.0].map(|s| quantile(&values, s)),
+            [1.0, 2.0, 3.0, 4.0, 4.0].map(Some)
+        );
+        assert_eq!(quantile(&[], 0.5), None);
+    }
+
+    #[test]
+    fn every_pose_is_drawn_in_the_colour_of_its_mode() {
+        let outcome = sample::simulated();
+        let modes: Vec<_> = outcome.modes.iter().collect();
+        let figure = residuals(&outcome, &modes).expect("a figure");
+        let circles = figure.matches("<circle").count();
+        assert_eq!(circles, 3 * 98, "one a pose and axis");
+        let blue = format!("<polygon opacity=\"1\" fill=\"{}\"", hex(LOOKS[1].light));
+        assert_eq!(figure.matches(&blue).count(), 3 * 98);
+        assert!(!figure.contains("#FFFFFF"), "no background");
+    }
+
+    #[test]
+    fn nothing_that_a_run_can_hold_stops_a_figure() {
+        for bad in [0.0, 1e-300, 1e12, f64::NAN, f64::INFINITY] {
+            let mut outcome = sample::simulated();
+            for mode in &mut outcome.modes {
+                for error in mode.errors.iter_mut().flatten() {
+                    *error = Vector3::repeat(bad);
+                }
+            }
+            let modes: Vec<_> = outcome.modes.iter().collect();
+            for figure in [residuals(&outcome, &modes), distribution(&outcome)] {
+                assert!(figure.expect("a figure").ends_with("</svg>\n"), "{bad}");
+            }
+            outcome.sets.clear();
+            assert!(residuals(&outcome, &[]).is_ok() && distribution(&outcome).is_ok());
+        }
+    }
+
+    #[test]
+    fn the_page_of_a_large_session_is_bounded_and_shows_the_worst_errors() {
+        let mut outcome = sample::simulated();
+        let own = outcome.sets[0].measurements.observations.clone();
+        let count = 100 * own.len();
+        outcome.sets[0].measurements.observations = (0..count)
+            .map(|place| {
+                let mut observation = own[place % own.len()].clone();
+                observation.pose = u32::try_from(place).expect("few poses");
+                observation
+            })
+            .collect();
+        for mode in &mut outcome.modes {
+            let errors = mode.errors[0].clone();
+            mode.errors[0] = (0..count).map(|place| errors[place % errors.len()]).collect();
+            mode.errors[0][777] = Vector3::new(0.5, -0.4, 0.3);
+        }
+        let modes: Vec<_> = outcome.modes.iter().collect();
+        let figure = residuals(&outcome, &modes).expect("a figure");
+        let drawn = figure.matches("<circle").count();
+        assert!(drawn <= 3 * (MARKS + 38) && drawn > 3 * MARKS / 2, "{drawn} of {}", 3 * count);
+        assert!(distribution(&outcome).expect("a figure").len() < 400_000);
+        let page = crate::report::html_report(&outcome).expect("a page");
+        assert!(page.contains("of equal width the lowest, the middle and the highest"));
+        assert!(page.len() < 3_000_000, "{} bytes", page.len());
+    }
 }

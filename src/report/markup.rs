@@ -2,15 +2,20 @@
 
 use std::fmt::Write;
 
-use maud::{Markup, PreEscaped, html};
+use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::plots::{GRID, INK, LOOKS, Look, Marker, hex, look};
 use calibrig_estimation::identification::Mode;
 
 pub(super) const CSS: &str = include_str!("report.css");
 
+/// A page.
+pub(super) fn page(title: &str, body: &Markup) -> String {
+    html! { (DOCTYPE) html lang="en" { (head(title)) body { (body) } } }.into_string()
+}
+
 /// The head of every page, which needs no file beside it.
-pub(super) fn head(title: &str) -> Markup {
+fn head(title: &str) -> Markup {
     html! {
         head {
             meta charset="utf-8";

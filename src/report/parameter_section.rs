@@ -253,3 +253,44 @@ fn dh_lines(outcome: &Outcome, style: Style) -> Vec<String> {
     }
     lines
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::tests::sample;
+
+    #[test]
+    fn every_parameter_is_in_the_tables_of_page_and_terminal() {
+        let outcome = sample::simulated();
+        let page = parameters_section(&outcome).expect("a section").into_string();
+        let lines = parameter_lines(&outcome, Style::Plain);
+        for row in parameter_rows(&outcome) {
+            assert!(page.contains(&format!("<code>{}</code>", row.id)), "{}", row.id);
+            assert!(
+                lines.iter().any(|line| line.split_whitespace().next() == Some(&row.id.to_string())),
+                "{}",
+                row.id
+            );
+        }
+        assert!(lines.iter().all(|line| line.chars().count() <= 100));
+    }
+
+    #[test]
+    fn the_corrected_table_is_the_nominal_one_and_the_difference() {
+        let outcome = sample::simulated();
+        let lines = dh_lines(&outcome, Style::Plain);
+        let (_, links) = corrected_links(&outcome).expect("a fitted mode");
+        assert_eq!(lines.len(), 2 + 3 * links.len());
+        let numbers = |line: &str| -> Vec<f64> {
+            line[30..].split_whitespace().map(|n| n.parse().expect("a number")).collect()
+        };
+        for rows in lines[2..].chunks(3) {
+            let [nominal, corrected, difference] = [0, 1, 2].map(|row| numbers(&rows[row]));
+            for column in 0..5 {
+                let sum = nominal[column] + difference[column];
+                assert!((sum - corrected[column]).abs() < 1.6e-3, "{rows:?}");
+            }
+        }
+        assert!(dh_lines(&sample::measured(), Style::Plain).len() > 2);
+    }
+}

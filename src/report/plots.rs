@@ -107,8 +107,6 @@ pub(super) fn magnitudes(
 ) -> Result<String, ReportError> {
     const PANEL: i32 = 260;
     const FOOT: i32 = 20;
-    /// Points of a curve; of more, those of `thinned`.
-    const MOST: usize = 2 * MARKS;
     let shown = |(x, y): &&(f64, f64)| drawable(*x) && drawable(*y) && *y > 0.0;
     let points = || curves.iter().flat_map(|curve| curve.points.iter().filter(shown));
     let low = points().map(|(_, y)| *y).fold(f64::INFINITY, f64::min).max(1e-4);
@@ -352,6 +350,8 @@ pub(super) fn text_at(area: &Area, text: &str, place: (i32, i32), anchor: (HPos,
     area.draw(&Text::new(text.to_owned(), place, text_style().pos(Pos::new(anchor.0, anchor.1))))
 }
 
+/// Points of a curve over a whole figure, at most; of more, those of `thinned` are drawn.
+pub(super) const MOST: usize = 2 * MARKS;
 /// Marks of a series in a panel, at most.
 pub(super) const MARKS: usize = 180;
 
@@ -495,8 +495,6 @@ pub(super) fn one_two_five(low: f64, high: f64) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::tests::sample;
-    use nalgebra::Vector3;
 
     #[test]
     fn logarithmic_ticks_enclose_the_data() {
@@ -517,32 +515,18 @@ mod tests {
     }
 
     #[test]
-    fn every_pose_is_drawn_in_the_colour_of_its_mode() {
-        let outcome = sample::simulated();
-        let modes: Vec<_> = outcome.modes.iter().collect();
-        let figure = residuals(&outcome, &modes).expect("a figure");
-        let circles = figure.matches("<circle").count();
-        assert_eq!(circles, 3 * 98, "one a pose and axis");
-        let blue = format!("<polygon opacity=\"1\" fill=\"{}\"", hex(LOOKS[1].light));
-        assert_eq!(figure.matches(&blue).count(), 3 * 98);
-        assert!(!figure.contains("#FFFFFF"), "no background");
-    }
-
-    #[test]
-    fn nothing_that_a_run_can_hold_stops_a_figure() {
-        for bad in [0.0, 1e-300, 1e12, f64::NAN, f64::INFINITY] {
-            let mut outcome = sample::simulated();
-            for mode in &mut outcome.modes {
-                for error in mode.errors.iter_mut().flatten() {
-                    *error = Vector3::repeat(bad);
-                }
-            }
-            let modes: Vec<_> = outcome.modes.iter().collect();
-            for figure in [residuals(&outcome, &modes), distribution(&outcome)] {
-                assert!(figure.expect("a figure").ends_with("</svg>\n"), "{bad}");
-            }
-            outcome.sets.clear();
-            assert!(residuals(&outcome, &[]).is_ok() && distribution(&outcome).is_ok());
-        }
+    fn thinned_points_keep_the_extremes_and_their_order() {
+        let points: Vec<_> = (0..10_000).map(|i| (f64::from(i), f64::from(i * 7919 % 1000))).collect();
+        let kept = thinned(points.clone(), MARKS);
+        assert!(kept.len() <= MARKS && kept.len() > MARKS / 2, "{}", kept.len());
+        let ends = |all: &[(f64, f64)]| {
+            all.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), (_, y)| (l.min(*y), h.max(*y)))
+        };
+        assert_eq!(ends(&kept), ends(&points));
+        assert!(kept.is_sorted_by(|a, b| a.0 <= b.0) && kept.iter().all(|point| points.contains(point)));
+        assert_eq!(thinned(points[..100].to_vec(), MARKS), points[..100]);
+        // All at one place, and one far from the others.
+        assert!(thinned(vec![(1.0, 2.0); 1000], MARKS).len() <= MARKS);
+        assert_eq!(thinned_words(MARKS, MARKS), "");
     }
 }

@@ -135,7 +135,7 @@ pub(super) fn session_facts(outcome: &Outcome) -> Markup {
                 @if spherical > 0 { "range and angles" } @else { "positions" }
                 @match outcome.sets.first().map(nests) {
                     Some(count) if count > 0 => { ", " (count) " base nests" },
-                    _ => ", base not measured",
+                    _ => ", no base nests",
                 }
             }
         }

@@ -155,8 +155,8 @@ pub(super) fn scatter_section(outcome: &Outcome) -> Markup {
         section #scatter {
             h2 { "Stated and seen scatter" }
             p {
-                "RMS along the beam (range), and across it along azimuth and elevation, as lengths at the target in \u{b5}m: what readings state of their own noise, what repeats of a "
-                "pose show, and what is left of the measurements by each model. What repeats show beyond what is stated is the machine's own scatter, or that of a tracker worse than stated; what residuals show beyond repeats is what the model lacks."
+                "Three RMS lengths at the target, in \u{b5}m: along the beam (range), and across it in azimuth and in elevation. The table compares the noise that readings state, the scatter that repeats of a "
+                "pose show, and the residuals of each model. Repeats above the stated noise mean that the machine scatters or that the tracker is worse than stated. Residuals above the repeats mean that the model lacks something."
             }
             @for (index, set) in outcome.sets.iter().enumerate() {
                 @let of_set = |judgement: &Judgement| judgement.scatter.get(index).copied().flatten();
@@ -191,7 +191,7 @@ pub(super) fn scatter_section(outcome: &Outcome) -> Markup {
                     @if let Some(words) = outcome.judgements.iter().rev().find_map(of_set).and_then(|scatter| sentence(&scatter)) {
                         p { @if let Some(last) = outcome.judgements.last() { "\u{201c}" (last.mode.title()) "\u{201d}: " } (words) "." }
                     }
-                    @if first.stated.is_none() { p.note { "The readings state no noise: there is nothing to compare it with." } }
+                    @if first.stated.is_none() { p.note { "The readings state no noise to compare with. State it, and this table says whether tracker or model limits the accuracy." } }
                 }
             }
         }

@@ -112,8 +112,8 @@ fn heading(prospect: &SensorProspect) -> [&'static str; 2] {
 
 fn explanation(study: &SensorStudy) -> String {
     format!(
-        "What kinds of targets tell at the same poses, with the same noise: \u{201c}{}\u{201d}, by linearisation at its estimate. A target \
-         that was not there is taken to be read and stated as well as the first, 120 mm from it. Place and angle: RMS uncertainty of the \
+        "What one point, three points or a full pose would tell at the same poses and with the same noise, for \u{201c}{}\u{201d} (linearised at its estimate). \
+         Targets that were not there are assumed 120 mm from the first and read as well as it. Place and angle are the RMS standard deviation (68 %) of the \
          predicted robot at the poses of the {} set, without what the machine does beside its model.",
         study.mode.title(),
         study.predicted.key()
@@ -201,7 +201,7 @@ pub(super) fn sensor_section(outcome: &Outcome) -> Result<Markup, ReportError> {
             p { (explanation(study)) }
             (table(study, &caption, &told))
             @for prospect in open {
-                p.note { "Not told by " (prospect.sensor.title()) ": " (prospect.open.join("; ")) "." }
+                p.note { "Not identifiable with " (prospect.sensor.title()) ": " (prospect.open.join("; ")) "." }
             }
             @if let Some(plot) = &plot {
                 figure {
@@ -212,14 +212,14 @@ pub(super) fn sensor_section(outcome: &Outcome) -> Result<Markup, ReportError> {
                     }
                     div.scroll { (PreEscaped(plot)) }
                     figcaption {
-                        "Standard deviations of parameters over the smallest of the kinds of targets, logarithmic; the "
-                        (telling.len()) " that differ most. Further left is better."
+                        "Standard deviations of parameters, as multiples of the smallest among the kinds of targets, for the "
+                        (telling.len()) " parameters that differ most. Further left is better."
                     }
                 }
                 (table(study, "The same standard deviations", &sigmas))
                 p.note { "All parameters are in report.json, under \u{201c}sensors\u{201d}." }
             } @else {
-                p.note { "No parameter of the robot is told better by one than by another." }
+                p.note { "No parameter of the robot is identified better with one kind of target than with another." }
             }
         }
     })

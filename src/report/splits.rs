@@ -11,9 +11,9 @@ use super::words::{counted, number};
 use crate::pipeline::{SplitMode, SplitStudy};
 use calibrig_estimation::evaluation::Interval;
 
-const EXPLANATION: &str = "RMS of the 3-D error of the held-out poses, mean and range over the splits, mm. Gain: by how much the mean is \
-                           smaller than in the row above, on the same splits, with the 95 % interval of Nadeau and Bengio, \
-                           which allows for splits that share poses.";
+const EXPLANATION: &str = "The poses are divided at random again and again; each time some are fitted and the others held out. The table has the RMS of the 3-D error \
+                           of the held-out poses in mm: its mean, least and largest over the splits. Gain: how much smaller the mean is than in the row above, with \
+                           the 95 % interval of the mean gain after Nadeau and Bengio, which allows for splits that share poses.";
 
 /// Repeated random splits of the identification set.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

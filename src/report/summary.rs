@@ -71,7 +71,7 @@ fn improvement(outcome: &Outcome, set: usize, say: &mut Vec<String>) {
     if let (Some(geometry), Some(gravity)) = (find(Mode::OnlyCalibration), find(Mode::WithGravity)) {
         let change = |axis: usize| signed_percent(gravity.mean[axis] / geometry.mean[axis] - 1.0);
         say.push(format!(
-            "Considering gravity changes the mean error by {} in x, {} in y and {} in z against only calibration.",
+            "With gravity the mean error changes by {} in x, {} in y and {} in z, compared with only calibration.",
             change(0),
             change(1),
             change(2)
@@ -131,7 +131,7 @@ fn remaining(outcome: &Outcome, mode: &ModeOutcome, set: usize, say: &mut Vec<St
             "the fit carries over to poses it has not seen"
         };
         say.push(format!(
-            "The RMS over held-out poses is {} against the fitted ones: {comment}.",
+            "The RMS over held-out poses differs by {} from that over the fitted ones: {comment}.",
             signed_percent(change)
         ));
     }
@@ -150,7 +150,7 @@ fn consistency(mode: &ModeOutcome, say: &mut Vec<String>) {
     let Some(estimate) = &mode.estimate else { return };
     if let NoiseScale::Residuals(sigma) = estimate.noise {
         say.push(format!(
-            "The readings state no uncertainty: standard deviations are scaled to the residuals, {} a coordinate, and cannot tell noise from what the model lacks.",
+            "The readings state no uncertainty: standard deviations are scaled to the residuals ({} in each coordinate), which cannot tell noise from what the model lacks. State the noise of the tracker.",
             length_words(sigma)
         ));
     }
@@ -159,12 +159,12 @@ fn consistency(mode: &ModeOutcome, say: &mut Vec<String>) {
     let tolerance = 3.0 / (2.0 * estimate.degrees_of_freedom).sqrt();
     say.push(if ratio > 1.0 + tolerance {
         format!(
-            "The residuals are {} times what the stated noise explains: the rest is what the model lacks. Where it was estimated, as errors of single poses, the standard deviations include it.",
+            "The residuals are {} times what the stated noise explains: the rest is what the model lacks. Where that was estimated, the standard deviations include it. The section on the residual names what it depends on.",
             significant(ratio)
         )
     } else if ratio < 1.0 - tolerance {
         format!(
-            "The residuals are only {} times what the fit allowed for: the stated noise, or the allowance for what the model leaves out, is too large, and so are the standard deviations.",
+            "The residuals are only {} times what the fit allowed for: the stated noise, or the allowance for what the model lacks, is too large, and so are the standard deviations. State less.",
             significant(ratio)
         )
     } else {
@@ -189,8 +189,8 @@ fn errors_over_bound(outcome: &Outcome, estimate: &Estimate) -> Option<String> {
     let ratios = ratios.filter(|ratios| !ratios.is_empty())?;
     let rms = (ratios.iter().map(|r| r * r).sum::<f64>() / ratios.len() as f64).sqrt();
     Some(format!(
-        "Its errors are {} times {name} at the truth (RMS): what the readings' noise alone leaves to the best estimator of a machine that the \
-         model contains.",
+        "Its errors are {} times {name} at the truth (RMS). The bound is what the noise of the readings leaves even to the best estimator, if the model is \
+         complete.",
         significant(rms)
     ))
 }
@@ -208,7 +208,7 @@ fn parameters_against_truth(outcome: &Outcome, say: &mut Vec<String>) {
         let within = ratios.iter().filter(|r| r.abs() <= NORMAL_95).count();
         let rms = (ratios.iter().map(|r| r * r).sum::<f64>() / ratios.len() as f64).sqrt();
         say.push(format!(
-            "With {}, the true value lies in the 95 % interval of {within} of {}; {:.0} would be expected if the model were complete (RMS of error over sigma {}).",
+            "With {}, the 95 % intervals of single parameters hold the true value for {within} of {}; {:.0} would be expected of a complete model (RMS of error over sigma {}).",
             mode.title(),
             counted(ratios.len(), "parameter"),
             0.95 * ratios.len() as f64,

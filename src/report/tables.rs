@@ -17,58 +17,30 @@ use calibrig_estimation::identification::{Assumption, Estimate, NoiseScale, Warn
 
 /// The tables of a run in mm, the published figures below each row, and how every estimate ended. At most 100 columns wide.
 pub fn render_tables(outcome: &Outcome, style: Style) -> String {
-    let mut text = String::new();
-    let mut line = |line: &str| {
-        text.push_str(line);
-        text.push('\n');
-    };
+    let mut lines = Vec::new();
     for (index, set) in outcome.sets.iter().enumerate() {
-        for row in table(outcome, index, set, style) {
-            line(&row);
-        }
-        for row in acceptance_lines(outcome, index, style) {
-            line(&row);
-        }
-        line("");
+        lines.extend(table(outcome, index, set, style));
+        lines.extend(acceptance_lines(outcome, index, style));
+        lines.push(String::new());
     }
-    for row in outcome.closed_loop.iter().flat_map(|driven| closed_loop_lines(outcome, driven, style)) {
-        line(&row);
-    }
+    lines.extend(outcome.closed_loop.iter().flat_map(|driven| closed_loop_lines(outcome, driven, style)));
     let drift = outcome.drift.iter().flat_map(drift_words);
-    for drift in sweep_words(outcome).into_iter().chain(drift).chain(missing_words(outcome)) {
-        for l in &wrap(&drift, "    ") {
-            line(l);
-        }
-    }
+    let drift = sweep_words(outcome).into_iter().chain(drift).chain(missing_words(outcome));
+    lines.extend(drift.flat_map(|words| wrap(&words, "    ")));
+    lines.extend(parameter_lines(outcome, style));
     for mode in &outcome.modes {
-        line(&style.paint(Ink::Heading, mode.mode.title()));
-        match &mode.estimate {
-            Some(estimate) => state(estimate, style).iter().for_each(|l| line(l)),
-            None => wrap(&registration_words(outcome), "    ").iter().for_each(|l| line(l)),
-        }
-        for l in &judgement_lines(outcome, mode.mode, style) {
-            line(l);
-        }
+        lines.push(style.paint(Ink::Heading, mode.mode.title()));
+        lines.extend(match &mode.estimate {
+            Some(estimate) => state(estimate, style),
+            None => wrap(&registration_words(outcome), "    "),
+        });
+        lines.extend(judgement_lines(outcome, mode.mode, style));
     }
-    for l in &parameter_lines(outcome, style) {
-        line(l);
-    }
-    if let Some(ablation) = &outcome.ablation {
-        for l in &ablation_lines(ablation, style) {
-            line(l);
-        }
-    }
-    if let Some(study) = &outcome.splits {
-        for l in &split_lines(study, style) {
-            line(l);
-        }
-    }
-    if let Some(study) = &outcome.sensors {
-        for l in &sensor_lines(study, style) {
-            line(l);
-        }
-    }
-    text
+    lines.extend(outcome.ablation.iter().flat_map(|ablation| ablation_lines(ablation, style)));
+    lines.extend(outcome.splits.iter().flat_map(|study| split_lines(study, style)));
+    lines.extend(outcome.sensors.iter().flat_map(|study| sensor_lines(study, style)));
+    lines.push(String::new());
+    lines.join("\n")
 }
 
 fn registration_words(outcome: &Outcome) -> String {
@@ -85,7 +57,7 @@ fn registration_words(outcome: &Outcome) -> String {
 fn state(estimate: &Estimate, style: Style) -> Vec<String> {
     let mut lines = Vec::new();
     let mut say = |ink, words: &str, indent: &str| {
-        lines.extend(wrap(words, indent).iter().map(|l| style.paint(ink, l)));
+        lines.extend(style.told(ink, words, indent));
     };
     let words = format!(
         "  {} after {} ({})",
@@ -124,8 +96,9 @@ fn state(estimate: &Estimate, style: Style) -> Vec<String> {
     }
     if let Some(freedom) = estimate.interval_freedom.filter(|freedom| freedom.is_finite()) {
         let factor = estimate.interval_factor(0.95);
-        let words =
-            format!("  95 % intervals: +- {factor:.2} sigma ({freedom:.1} degrees of freedom of the noise)");
+        let words = format!(
+            "  95 % interval of a parameter: +- {factor:.2} sigma ({freedom:.1} degrees of freedom of the noise)"
+        );
         say(Ink::Dim, &words, "    ");
     }
     for words in left_out_words(estimate) {
@@ -140,6 +113,7 @@ fn state(estimate: &Estimate, style: Style) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::report::terminal::{LINE, NUMBER, TITLE};
     use crate::report::tests::sample;
 
     fn numbers(line: &str) -> Vec<f64> {
@@ -166,20 +140,12 @@ mod tests {
     }
 
     #[test]
-    fn published_figures_align_on_the_point_without_invented_digits() {
-        assert_eq!(millimetres(0.0147), "14.700");
-        assert_eq!(as_published(0.0147), "14.7  ");
-        assert_eq!(as_published(0.0020), "2.0  ");
-        assert_eq!(as_published(0.000_123), "0.123");
-    }
-
-    #[test]
     fn a_plain_report_has_no_escapes_and_no_report_is_wider_than_100_columns() {
         for outcome in [sample::simulated(), sample::measured(), sample::driven()] {
             let plain = render_tables(&outcome, Style::Plain);
             assert!(!plain.contains('\x1b'));
             for line in plain.lines() {
-                assert!(line.chars().count() <= WIDTH, "{line}");
+                assert!(line.chars().count() <= LINE, "{line}");
             }
             let coloured = render_tables(&outcome, Style::Colour);
             assert!(coloured.contains("\x1b["));

@@ -2,6 +2,8 @@
 
 use std::fmt::Write;
 
+use super::words::printable;
+
 /// Whether escape sequences may be used. The caller decides, from the terminal and `NO_COLOR`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Style {
@@ -33,6 +35,11 @@ impl Style {
             Self::Colour => format!("\x1b[{code}m{text}\x1b[0m"),
         }
     }
+
+    /// Broken into lines, the later ones behind `indent`.
+    pub(super) fn told(self, ink: Ink, text: &str, indent: &str) -> Vec<String> {
+        wrap(&printable(text), indent).iter().map(|line| self.paint(ink, line)).collect()
+    }
 }
 
 /// Columns of a table: as wide as a plain terminal with some room.
@@ -48,6 +55,13 @@ pub(super) fn aligned(title: &str, numbers: &[String]) -> String {
         let _ = write!(line, "{number:>NUMBER$}");
     }
     line
+}
+
+/// A title, cut where it would reach into the columns, and cells of so many characters.
+pub(super) fn columns(title: &str, cells: &[String], width: usize) -> String {
+    let title: String = printable(title).chars().take(TITLE - 1).collect();
+    let cells: String = cells.iter().map(|cell| format!("{cell:>width$}")).collect();
+    format!("{title:<TITLE$}{cells}").trim_end().to_owned()
 }
 
 /// Millimetres to the micrometre; large numbers, which only a failed fit has, in fewer digits.

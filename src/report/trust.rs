@@ -20,6 +20,9 @@ use calibrig_estimation::identification::{
 };
 use calibrig_model::ParameterId;
 
+/// Poses that were not measured and are named.
+const LISTED: usize = 50;
+
 pub(super) fn trust_section(outcome: &Outcome) -> Markup {
     let fitted = fitted(outcome);
     html! {
@@ -41,7 +44,8 @@ pub(super) fn trust_section(outcome: &Outcome) -> Markup {
             (drift_section(outcome))
             @for set in outcome.sets.iter().filter(|s| !s.dropped.is_empty()) {
                 h3 { (set_title(set.kind)) ": " (counted(set.dropped.len(), "pose")) " not measured" }
-                ul { @for (pose, why) in &set.dropped { li { "pose " (pose) ": " (why) } } }
+                ul { @for (pose, why) in set.dropped.iter().take(LISTED) { li { "pose " (pose) ": " (why) } } }
+                @if set.dropped.len() > LISTED { p.note { "And " (set.dropped.len() - LISTED) " more: report.json." } }
             }
         }
     }
@@ -91,7 +95,7 @@ pub(super) fn mode_trust(mode: Mode, estimate: &Estimate) -> Markup {
     html! {
         h3 { (key(&look(mode))) (mode.title()) }
         @if warnings.is_empty() && spectrum.weak.is_empty() && spectrum.dependent.is_empty() {
-            p { "No warning; every parameter is determined." }
+            p { "No warnings; every parameter is determined." }
         }
         @if !warnings.is_empty() {
             ul.warnings { @for warning in &warnings { li { (warning) } } }
@@ -105,7 +109,7 @@ pub(super) fn mode_trust(mode: Mode, estimate: &Estimate) -> Markup {
             p { "The readings state no uncertainty; from the residuals, one coordinate has a standard deviation of " (length_words(sigma)) "." }
         }
         @if !spectrum.dependent.is_empty() {
-            p { "Not identifiable from these measurements:" }
+            p { "Not identifiable from these measurements (fix them, or measure what tells them apart):" }
             ul { @for group in &spectrum.dependent { li { (dependent_words(group)) } } }
         }
         @if !spectrum.weak.is_empty() {
@@ -126,7 +130,7 @@ pub(super) fn machine_noise(estimate: &Estimate) -> Markup {
         @for found in estimate.assumptions.iter().filter(is_found) { p { (found) "." } }
         @if let Some(freedom) = estimate.interval_freedom.filter(|freedom| freedom.is_finite()) {
             p {
-                "A 95 % interval is " (format!("{:.2}", estimate.interval_factor(0.95))) " standard deviations to either side (Student\u{2019}s t, "
+                "The 95 % interval of a parameter is " (format!("{:.2}", estimate.interval_factor(0.95))) " standard deviations to either side (Student\u{2019}s t, "
                 (format!("{freedom:.1}")) " degrees of freedom of the estimated noise)."
             }
         }
@@ -186,4 +190,14 @@ pub(super) fn combination(members: &[(ParameterId, f64)]) -> String {
         }
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fractions_have_two_digits() {
+        assert_eq!([1.9e-3, 0.01, 5.9e-6].map(fraction_words), ["1/530", "1/100", "1/1.7e5"]);
+    }
 }

@@ -234,3 +234,16 @@ pub(super) fn cut(text: &str, most: usize) -> String {
     let more = if short.len() < text.len() { "\u{2026}" } else { "" };
     printable(&format!("{}{more}", short.trim()))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn zero_has_no_sign_and_what_is_no_number_is_a_dash() {
+        assert_eq!(
+            [-4e-5, -6e-5, 0.0, f64::NAN].map(|v| number(v, 4)),
+            ["0.0000", "\u{2212}0.0001", "0.0000", "\u{2013}"]
+        );
+    }
+}

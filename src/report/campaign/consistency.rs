@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use maud::{Markup, html};
 
 use super::sweep::{MOST_ROWS, group_words};
-use super::words::{NONE, count, drawn, estimate, mean, share, with_half};
+use super::words::{NONE, count, drawn, estimate, mean, share};
 use crate::montecarlo::{BAND, CampaignSummary, GroupSummary, ModeSummary, ParameterSummary};
 use crate::report::files::ReportError;
 use crate::report::markup::key;
@@ -99,18 +99,17 @@ fn nees_dot(mode: &ModeSummary) -> Option<Dot> {
 
 fn chi2_dot(mode: &ModeSummary) -> Option<Dot> {
     let chi2 = mode.chi2_per_dof.as_ref()?;
-    let interval = chi2.half_width.map(|half| (chi2.mean - half, chi2.mean + half));
+    let interval = chi2.interval().map(|interval| (interval.low, interval.high));
     Some(Dot { look: look(mode.mode), value: chi2.mean, interval, band: None })
 }
 
 fn prediction_dot(mode: &ModeSummary) -> Option<Dot> {
     let predictions = mode.predictions?;
-    let share = 1e2 * predictions.coverage.fraction();
-    let interval = predictions.half_width.map(|half| (share - 1e2 * half, (share + 1e2 * half).min(100.0)));
+    let Estimate { value, interval } = predictions.estimate();
     Some(Dot {
         look: look(mode.mode),
-        value: share,
-        interval: interval.map(|(low, high)| (low.max(0.0), high)),
+        value: 1e2 * value,
+        interval: interval.map(|interval| (1e2 * interval.low, 1e2 * interval.high)),
         band: None,
     })
 }
@@ -162,7 +161,7 @@ fn row(mode: &ModeSummary) -> Markup {
         td { @match &mode.chi2_per_dof { Some(chi2) => (mean(chi2, 1.0)), None => (NONE) } }
         td { @match &mode.squared_over_bound { Some(squared) => (mean(squared, 1.0)), None => (NONE) } }
         td { @match &mode.predictions {
-            Some(predictions) => (with_half(predictions.coverage.fraction(), predictions.half_width, 1e2)),
+            Some(predictions) => (estimate(&predictions.estimate(), 1e2)),
             None => (NONE),
         } }
         td { @match &mode.iterations { Some(iterations) => (mean(iterations, 1.0)), None => (NONE) } }

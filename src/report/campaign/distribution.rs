@@ -6,11 +6,9 @@ use maud::{Markup, html};
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use super::words::{
-    MM, NONE, count, decimals, drawn, mean, millimetres, rate, set_title, set_words, stacked, unit,
-};
+use super::words::{MM, NONE, count, drawn, mean, millimetres, rate, set_title, set_words, stacked, unit};
 use crate::montecarlo::{
-    AccuracySet, CampaignSummary, GroupSummary, MeanWithInterval, ModeSummary, Rate, SetSummary,
+    AccuracySet, CampaignSummary, GroupSummary, MeanWithInterval, ModeSummary, Rate, SetSummary, decimals,
 };
 use crate::report::files::ReportError;
 use crate::report::markup::key;

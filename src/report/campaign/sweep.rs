@@ -6,9 +6,9 @@ use maud::{Markup, html};
 
 use super::sweep_figure::curves;
 use super::words::{
-    NONE, count, decimals, drawn, estimate, level, levels, mean, millimetres, name, rate, set_words, unit,
+    NONE, count, drawn, estimate, level, levels, mean, millimetres, name, rate, set_words, unit,
 };
-use crate::montecarlo::{CampaignSummary, GroupSummary, SetSummary};
+use crate::montecarlo::{CampaignSummary, GroupSummary, SetSummary, decimals};
 use crate::report::markup::key;
 use crate::report::plots::look;
 use crate::report::words::number;

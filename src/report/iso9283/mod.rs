@@ -17,7 +17,7 @@ use nalgebra::Vector3;
 use crate::pipeline::{Iso9283Outcome, Iso9283Pose, Iso9283Target};
 use crate::report::document::json_text;
 use crate::report::files::{ReportError, write_all};
-use crate::report::terminal::{Ink, Style, TITLE, wrap};
+use crate::report::terminal::{Ink, Style, TITLE, columns, wrap};
 use crate::report::words::percent;
 use crate::report::words::{counted, length_words, printable, significant};
 use calibrig_estimation::evaluation::iso9283::{OrientationAccuracy, OrientationRepeatability};
@@ -80,7 +80,7 @@ fn sentences(outcome: &Iso9283Outcome) -> Vec<String> {
         if let Some(pose) = worst(target) {
             let [low, high] = pose.position.interval;
             lines.push(format!(
-                "{of}repeatability RP is {} at worst ({}); of endless cycles it would be {} to {}",
+                "{of}repeatability RP is {} at worst ({}); 95 % interval for endlessly many cycles: {} to {}",
                 length_words(pose.position.repeatability),
                 pose_name(outcome, pose.pose),
                 length_words(low),
@@ -94,9 +94,11 @@ fn sentences(outcome: &Iso9283Outcome) -> Vec<String> {
                 format!("{noise} makes {share} of the variance of that scatter, the machine the rest")
             } else if over.ratio < over.band.0 {
                 let ratio = significant(over.ratio.sqrt());
-                format!("{noise} is stated too large: all that is seen is {ratio} times as large")
+                format!(
+                    "{noise} is stated too large: the scatter seen is only {ratio} times as large; state less"
+                )
             } else {
-                format!("{noise} is all that is seen of that scatter: none of the machine's shows beside it")
+                format!("{noise} explains all of that scatter: the machine's own cannot be seen beside it")
             });
         }
         let worst = |row: &crate::pipeline::AccuracyAgainst| {
@@ -115,13 +117,7 @@ fn sentences(outcome: &Iso9283Outcome) -> Vec<String> {
 }
 
 fn row(title: &str, cells: &[String]) -> String {
-    let cells = cells.iter().map(|cell| format!("{cell:>CELL$}")).collect::<Vec<_>>().concat();
-    let room = TITLE.saturating_sub(1);
-    let mut title: String = printable(title);
-    if title.chars().count() > room {
-        title = title.chars().take(room).collect();
-    }
-    format!("{title:<TITLE$}{cells}").trim_end().to_owned()
+    columns(title, cells, CELL)
 }
 
 /// Poses a table has room for beside each other.
@@ -129,8 +125,7 @@ const COLUMNS: usize = 6;
 
 /// The tables in mm and mrad; at most 100 columns wide.
 pub fn render_iso9283(outcome: &Iso9283Outcome, style: Style) -> String {
-    let mut lines: Vec<String> =
-        wrap(&printable(&title(outcome)), "    ").iter().map(|l| style.paint(Ink::Heading, l)).collect();
+    let mut lines: Vec<String> = style.told(Ink::Heading, &title(outcome), "    ");
     for target in &outcome.targets {
         lines.push(String::new());
         lines.extend(target_lines(outcome, target, style));
@@ -138,7 +133,7 @@ pub fn render_iso9283(outcome: &Iso9283Outcome, style: Style) -> String {
     if let Some(combined) = &outcome.combined {
         lines.push(String::new());
         let words = format!("Orientation from targets {} together, mrad", combined.targets.join(", "));
-        lines.extend(wrap(&printable(&words), "    ").iter().map(|l| style.paint(Ink::Heading, l)));
+        lines.extend(style.told(Ink::Heading, &words, "    "));
         let names: Vec<String> = pose_names(outcome);
         for place in chunks(names.len()) {
             lines.push(row("", &names[place.clone()]));
@@ -150,9 +145,7 @@ pub fn render_iso9283(outcome: &Iso9283Outcome, style: Style) -> String {
     }
     lines.push(String::new());
     lines.extend(sentences(outcome).iter().flat_map(|words| wrap(&printable(words), "    ")));
-    let note = |ink, words: &str| -> Vec<String> {
-        wrap(&printable(words), "    ").iter().map(|l| style.paint(ink, l)).collect()
-    };
+    let note = |ink, words: &str| -> Vec<String> { style.told(ink, words, "    ") };
     lines.extend(outcome.remarks.iter().flat_map(|words| note(Ink::Warning, words)));
     lines.extend(note(Ink::Dim, RECALLED));
     lines.push(String::new());
@@ -223,7 +216,7 @@ fn target_lines(outcome: &Iso9283Outcome, target: &Iso9283Target, style: Style) 
     }
     for against in &target.rows {
         let words = format!("{}: {}", against.title, against.registration);
-        lines.extend(wrap(&printable(&words), "    ").iter().map(|l| style.paint(Ink::Dim, l)));
+        lines.extend(style.told(Ink::Dim, &words, "    "));
     }
     lines
 }

@@ -67,16 +67,19 @@ fn sentences(plan: &PosePlan) -> Vec<String> {
     }
     let of_machine = plan.figures.accuracy.map_or(0.0, |accuracy| plan.figure.of(&accuracy.of_machine));
     lines.push(if of_machine > 0.0 {
-        format!("Of that the machine scatters by {} um from approach to approach, whatever is calibrated.", um(of_machine))
+        format!("Of that, {} um are the machine's scatter from approach to approach, which no calibration removes.", um(of_machine))
     } else {
-        "Nothing is stated of what the machine does beside its model (--actuator-sigma): the real error is larger by that.".to_owned()
+        "The scatter of the machine from approach to approach is not stated, and the real error is larger by it: state it with --actuator-sigma.".to_owned()
     });
     if let Some(knee) = plan.growth.knee {
-        lines.push(format!("The curve has its knee at {}: further ones help less.", counted(knee, "pose")));
+        lines.push(format!("The curve bends at {}: further poses help less.", counted(knee, "pose")));
     }
     lines.extend(plan.needed_words().map(|words| format!("Accuracy: {words}.")));
     if !plan.settled {
-        lines.push("The search ended before no exchange helped: another one could be better.".to_owned());
+        lines.push(
+            "The search was stopped before it had settled: run it longer, and a better plan may be found."
+                .to_owned(),
+        );
     }
     lines
 }

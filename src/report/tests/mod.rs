@@ -1,5 +1,6 @@
 //! Tests of the files as a whole, and the outcomes that all tests of the report have in common.
 
+pub(in crate::report) mod pages;
 pub(in crate::report) mod sample;
 
 use super::*;
