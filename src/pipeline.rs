@@ -109,7 +109,7 @@ pub struct Outcome {
     pub splits: Option<SplitStudy>,
     /// The results of corrected commands on the machine, if the scenario asks for them.
     pub closed_loop: Option<ClosedLoop>,
-    /// The command line that gives the report, if the other fields do not determine it.
+    /// The command line that made the report, with every option; `None` of what no command made.
     pub command: Option<String>,
 }
 

@@ -46,6 +46,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
             "the truth is left out: this version of calibrig draws a different machine from the recorded scenario",
         ),
     }
+    replayed.outcome.command = Some(output::command_line());
     let outcome = &replayed.outcome;
     let destination = args.out.as_deref().map_or(Destination::New(&outcome.input.name), Destination::Asked);
     destination.check(Files::Reports)?;

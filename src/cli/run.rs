@@ -123,8 +123,8 @@ fn run_into(
             return Err(not_identified(error, &args.scenario, source, place));
         }
     };
+    outcome.command = Some(output::command_line());
     if args.trial.is_some() {
-        outcome.command = Some(output::command_line());
         outcome.input.name.clone_from(&input.name);
     }
     let complete: output::Complete<'_> = if args.ablate {

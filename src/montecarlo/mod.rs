@@ -16,6 +16,7 @@ pub use summary::{
     ParameterSummary, PredictionCoverage, Rate, Reason, Sensitivity, SetSummary, Subject, SummaryError,
     Worst, summarise, summarise_trials, summary_json, summary_text,
 };
+pub(crate) use summary::{decimals, with_interval};
 pub use trial::{AccuracySet, FitResult, ModeResult, ParameterResult, Trial, TrialOutcome};
 
 use std::borrow::Cow;

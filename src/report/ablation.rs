@@ -1,20 +1,18 @@
 //! What each part of the machine contributes, as a table on the terminal, and as a figure and a table on the page.
 
 use maud::{Markup, html};
-use plotters::prelude::*;
-use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use super::html::{figure, number};
-use super::plots::{
-    Area, Drawn, GRID, SCALE, WIDTH, drawable, finite_range, ink, look, marker, padded, px, svg, text_style,
-    values_below,
-};
-use super::tables::{Ink, NUMBER, Style, TITLE, aligned, millimetres, printable, wrap};
-use super::{ReportError, set_title};
+use super::files::ReportError;
+use super::markup::figure;
+use super::plots::look;
+use super::rows::{Dot, Panel, dots};
+use super::terminal::{Ink, NUMBER, Style, TITLE, aligned, millimetres, wrap};
+use super::words::{number, printable, set_title};
 use crate::pipeline::{AblatedPart, Ablation, SetKind};
+use calibrig_estimation::identification::Mode;
 
-const EXPLANATION: &str = "The same poses and random numbers without one part of the machine at a time. A change below zero is what the \
-                           part contributes to the error; it adds to other contributions as squares do rather than as lengths do.";
+const EXPLANATION: &str = "The run is repeated without one part of the machine at a time, with the same poses and random numbers. A change below zero is the error that the \
+                           part causes. Such errors add up as squares, not as lengths.";
 
 /// The judged set's place: the verification set where there is one.
 fn judged(ablation: &Ablation) -> usize {
@@ -30,7 +28,11 @@ fn failures(ablation: &Ablation) -> impl Iterator<Item = (&'static str, &str)> {
 fn doubts(ablation: &Ablation) -> impl Iterator<Item = String> {
     ablation.parts.iter().filter(|part| !part.doubtful.is_empty()).map(|part| {
         let modes: Vec<_> = part.doubtful.iter().map(|mode| mode.title()).collect();
-        format!("without {}: the estimate needs a second look: {}", part.part.title(), modes.join(", "))
+        format!(
+            "without {}: look at the warnings of the estimate first: {}",
+            part.part.title(),
+            modes.join(", ")
+        )
     })
 }
 
@@ -85,13 +87,11 @@ pub(super) fn ablation_lines(ablation: &Ablation, style: Style) -> Vec<String> {
         lines.extend(wrap(&format!("  without {titles}: {removal}"), "    "));
     }
     for words in doubts(ablation) {
-        lines.extend(
-            wrap(&format!("  doubtful {words}"), "    ").iter().map(|l| style.paint(Ink::Warning, l)),
-        );
+        lines.extend(style.told(Ink::Warning, &format!("  doubtful {words}"), "    "));
     }
     for (title, why) in failures(ablation) {
         let words = format!("  no run without {title}: {}", printable(why));
-        lines.extend(wrap(&words, "    ").iter().map(|l| style.paint(Ink::Warning, l)));
+        lines.extend(style.told(Ink::Warning, &words, "    "));
     }
     lines
 }
@@ -120,8 +120,8 @@ pub(super) fn ablation_section(ablation: &Ablation) -> Result<Markup, ReportErro
             h2 { "What each part of the machine contributes" }
             p { (EXPLANATION) }
             (figure(&ablation.modes, &plot, &html! {
-                "Change of the RMS of the 3-D error when a part is removed, " (set_title(kind)) ", mm, a panel a mode on its own scale. The further left, the more the part contributes. "
-                "Runs that are doubtful are left out."
+                "Change of the RMS of the 3-D error when a part is removed, " (set_title(kind)) ", mm, a panel a mode on its own scale. The further left, the more error the part causes. "
+                "Doubtful runs are not drawn; they are named below."
             }, false))
             @for (set, kind) in ablation.sets.iter().enumerate() { (table(ablation, set, *kind)) }
             h3 { "What removing means" }
@@ -181,67 +181,24 @@ fn table(ablation: &Ablation, set: usize, kind: SetKind) -> Markup {
 /// A panel a mode, each on its own scale: a bar a part from zero to the change of the RMS, with the mode's marker at its end. What is doubtful
 /// is left out.
 fn changes(ablation: &Ablation, set: usize) -> Result<String, ReportError> {
-    const NAMES: i32 = 180;
-    const ROW: i32 = 22;
-    const AXIS: i32 = 26;
-    let rows = i32::try_from(ablation.parts.len()).unwrap_or(1).max(1);
-    let size = (WIDTH, ROW * rows + AXIS + 8);
-    svg("contributions", "Change of the RMS error without each part", size, |area| {
-        let (names, body) = area.split_horizontally(px(NAMES));
-        for (mode, panel) in body.split_evenly((1, ablation.modes.len().max(1))).iter().enumerate() {
-            let names = (mode == 0).then_some(&names);
-            draw_changes(ablation, (mode, set), names, panel, px(AXIS))?;
-        }
-        Ok(())
-    })
-}
-
-fn draw_changes(
-    ablation: &Ablation,
-    (mode, set): (usize, usize),
-    names: Option<&Area>,
-    panel: &Area,
-    axis: i32,
-) -> Drawn {
-    let Some(kind) = ablation.modes.get(mode) else { return Ok(()) };
-    let change = |part: &AblatedPart| {
-        let (without, complete) = ablation.pair(part, mode, set).filter(|_| !part.doubtful.contains(kind))?;
-        Some(1e3 * (without.rms_3d - complete.rms_3d)).filter(|change| drawable(*change))
+    let names: Vec<_> = ablation.parts.iter().map(|part| part.part.title().to_owned()).collect();
+    let panel = |(place, mode): (usize, &Mode)| {
+        let change = |part: &AblatedPart| {
+            let pair = ablation.pair(part, place, set).filter(|_| !part.doubtful.contains(mode));
+            pair.map(|(without, complete)| Dot::at(look(*mode), 1e3 * (without.rms_3d - complete.rms_3d)))
+        };
+        let rows = ablation.parts.iter().map(|part| change(part).into_iter().collect()).collect();
+        Panel { bars: true, ..Panel::of(mode.title(), 0.0, rows) }
     };
-    let x = padded(&finite_range(ablation.parts.iter().filter_map(change).chain([0.0])));
-    let bottom = ablation.parts.len().max(1) as f64 - 0.5;
-    let mut chart = ChartBuilder::on(panel)
-        .margin_left(px(8))
-        .margin_right(px(14))
-        .x_label_area_size(axis)
-        .build_cartesian_2d(x.clone(), bottom..-0.5)?;
-    values_below(&mut chart, panel.dim_in_pixel().0, 3..=8)?;
-    let plot = chart.plotting_area();
-    plot.draw(&PathElement::new(vec![(0.0, bottom), (0.0, -0.5)], ink(2)))?;
-    let look = look(*kind);
-    for (index, part) in ablation.parts.iter().enumerate() {
-        let y = index as f64;
-        let edge = vec![(x.start, y + 0.5), (x.end, y + 0.5)];
-        plot.draw(&PathElement::new(edge, GRID.mix(0.5).stroke_width(1)))?;
-        if let Some(names) = names {
-            let right = i32::try_from(names.dim_in_pixel().0).unwrap_or(0) - 4 * SCALE;
-            let (_, at) = plot.map_coordinate(&(x.start, y));
-            let style = text_style().pos(Pos::new(HPos::Right, VPos::Center));
-            let row = at - names.get_base_pixel().1;
-            names.draw(&Text::new(part.part.title().to_owned(), (right, row), style))?;
-        }
-        if let Some(change) = change(part) {
-            plot.draw(&PathElement::new(vec![(0.0, y), (change, y)], look.light.stroke_width(6)))?;
-            plot.draw(&marker(&look, (change, y), 7))?;
-        }
-    }
-    Ok(())
+    let panels: Vec<_> = ablation.modes.iter().enumerate().map(panel).collect();
+    dots("contributions", "Change of the RMS error without each part", &names, &panels)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::{html_report, json_report, render_tables, sample};
+    use crate::report::tests::sample;
+    use crate::report::{html_report, json_report, render_tables};
 
     #[test]
     fn every_part_is_told_with_its_change_in_every_mode() {

@@ -2,14 +2,15 @@
 
 use std::fmt::Write;
 
-use maud::{DOCTYPE, PreEscaped, html};
+use maud::{PreEscaped, html};
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use serde_json::{Value, json};
 
-use super::ReportError;
-use super::html::head;
-use super::plots::{self, Drawn, GRID, LOOKS, foot, ink, px, text_style, values_below};
+use super::files::ReportError;
+use super::markup::page;
+use super::plots;
+use super::plots::{Drawn, GRID, LOOKS, foot, ink, px, text_style, values_below};
 use crate::pipeline::{AcceptanceOutcome, Finding, Ratios, Test};
 
 /// Instruments whose largest errors are drawn; of more, these many first ones are.
@@ -228,48 +229,42 @@ pub fn acceptance_html(outcome: &AcceptanceOutcome) -> Result<String, ReportErro
     let one = outcome.instruments == 1;
     let title = format!("Virtual acceptance test: {}", name(outcome));
     let drawn = outcome.tests.first().map_or(0, |test| test.worst.len()).min(MOST_DRAWN);
-    let page = html! {
-        (DOCTYPE)
-        html lang="en" {
-            (head(&title))
-            body {
-                main {
-                    h1 { (title) }
-                    p { strong { (verdict(outcome)) } }
-                    @for line in about(outcome) { p.note { (line) } }
-                    figure {
-                        div.scroll { (PreEscaped(&figure)) }
-                        figcaption {
-                            @if one { "Every error of the instrument: round and orange where it is beyond the limit, blue within." }
-                            @else { "The largest error in each test of " (drawn) " instruments: round and orange beyond the limit, blue within." }
+    let body = html! {
+        main {
+            h1 { (title) }
+            p { strong { (verdict(outcome)) } }
+            @for line in about(outcome) { p.note { (line) } }
+            figure {
+                div.scroll { (PreEscaped(&figure)) }
+                figcaption {
+                    @if one { "Every error of the instrument: round and orange where it is beyond the limit, blue within." }
+                    @else { "The largest error in each test of " (drawn) " instruments: round and orange beyond the limit, blue within." }
+                }
+            }
+            div.scroll { table {
+                thead { tr {
+                    th scope="col" { "test" }
+                    th scope="col" { "number" }
+                    th scope="col" { "median of the largest error / MPE" }
+                    th scope="col" { "largest error / MPE" }
+                } }
+                tbody {
+                    @for test in &outcome.tests {
+                        tr {
+                            th scope="row" { (test.test.title()) }
+                            td { (test.findings) }
+                            td { (format!("{:.2}", test.ratios.median_of_max)) }
+                            td { (format!("{:.2}", test.ratios.max)) }
                         }
-                    }
-                    div.scroll { table {
-                        thead { tr {
-                            th scope="col" { "test" }
-                            th scope="col" { "number" }
-                            th scope="col" { "median of the largest error / MPE" }
-                            th scope="col" { "largest error / MPE" }
-                        } }
-                        tbody {
-                            @for test in &outcome.tests {
-                                tr {
-                                    th scope="row" { (test.test.title()) }
-                                    td { (test.findings) }
-                                    td { (format!("{:.2}", test.ratios.median_of_max)) }
-                                    td { (format!("{:.2}", test.ratios.max)) }
-                                }
-                            }
-                        }
-                    } }
-                    p.note {
-                        "In the style of ASME B89.4.19, whose text was not at hand: docs/formats.md says which places are our own choice."
                     }
                 }
+            } }
+            p.note {
+                "In the style of ASME B89.4.19, whose text was not at hand: docs/formats.md says which places are our own choice."
             }
         }
     };
-    Ok(page.into_string())
+    Ok(page(&title, &body))
 }
 
 #[cfg(test)]

@@ -7,11 +7,11 @@ use maud::{Markup, html};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::counted;
-use super::html::{key, number};
-use super::json::finite;
+use super::document::finite;
+use super::markup::key;
 use super::plots::look;
-use super::tables::{Ink, Style, aligned, millimetres, wrap};
+use super::terminal::{Ink, Style, aligned, millimetres};
+use super::words::{counted, number};
 use crate::pipeline::{Outcome, SetKind};
 use calibrig_estimation::evaluation::{Acceptance, accept};
 use calibrig_estimation::identification::Mode;
@@ -94,19 +94,23 @@ pub(super) fn acceptance_lines(outcome: &Outcome, index: usize, style: Style) ->
             &[free, millimetres(found.isotropic), millimetres(found.largest.seen)],
         ));
     }
-    lines.extend(wrap(&note(first), "    ").iter().map(|line| style.paint(Ink::Dim, line)));
+    lines.extend(style.told(Ink::Dim, &note(first), "    "));
     lines
 }
 
 fn note(found: &Acceptance) -> String {
     let mut words = format!(
-        "  of {}, taken as drawn at random in the region: the largest bounds {:.1} % of the poses with that confidence",
+        "  from {}, taken as drawn at random in the region: {:.1} % of its poses stay below the largest error seen, with the same confidence",
         counted(found.count, "held-out pose"),
         100.0 * found.largest.share_below
     );
     if found.distribution_free.is_none() {
         // Writing to a String cannot fail.
-        let _ = write!(words, "; 95 % whatever the distribution needs {}", found.needed);
+        let _ = write!(
+            words,
+            "; a bound for 95 % that holds for any distribution needs {} poses: hold out more",
+            found.needed
+        );
     }
     words
 }
@@ -122,7 +126,7 @@ pub(super) fn acceptance_table(outcome: &Outcome, index: usize) -> Markup {
                     caption { "3-D error that 95 % of the region\u{2019}s poses stay below, with 95 % confidence, mm" }
                     thead {
                         tr {
-                            th {} th { "whatever the distribution" } th { "if normal, alike along the axes" } th { "largest seen" }
+                            th {} th { "for any distribution of errors" } th { "if errors are normal and alike along the axes" } th { "largest seen" }
                         }
                     }
                     tbody {

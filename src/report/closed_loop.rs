@@ -6,11 +6,14 @@ use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
 
 use super::acceptance_bounds::by_pose;
-use super::html::{error_table, figure, key, number};
-use super::json::{JsonDropped, JsonRow, JsonSet, finite, json_row};
-use super::plots::{self, Curve, look};
-use super::tables::{Ink, Style, aligned, error_lines, millimetres, printable, wrap};
-use super::{ErrorRow, ReportError, counted, pose_count, published};
+use super::accuracy::{ErrorRow, error_lines, error_table, published};
+use super::document::{JsonDropped, dropped, finite};
+use super::files::ReportError;
+use super::markup::{figure, key};
+use super::plots::{self, Curve, MOST, look, thinned_words};
+use super::sets::{JsonRow, JsonSet, json_row};
+use super::terminal::{Ink, Style, aligned, millimetres, wrap};
+use super::words::{counted, number, pose_count, printable};
 use crate::pipeline::{Outcome, SetKind};
 use calibrig_estimation::evaluation::AccuracyRow;
 use calibrig_estimation::evaluation::closed_loop::{ClosedLoop, DrivenMode, DrivenPath, DrivenPoseTest};
@@ -131,10 +134,6 @@ fn criterion_words(criterion: Option<Criterion>) -> String {
     }
 }
 
-fn dropped(poses: &[(u32, String)]) -> Vec<JsonDropped> {
-    poses.iter().map(|(pose, why)| JsonDropped { pose: *pose, why: why.clone() }).collect()
-}
-
 /// The largest error of every pose, m.
 fn lengths(mode: &DrivenMode) -> Vec<f64> {
     let errors: Vec<_> = mode.points.iter().map(|point| (point.pose, point.error())).collect();
@@ -251,7 +250,7 @@ pub(super) fn closed_loop_lines(outcome: &Outcome, driven: &ClosedLoop, style: S
     }
     for mode in &driven.modes {
         for words in uncorrected_words(mode, "pose") {
-            lines.extend(wrap(&printable(&words), "    ").iter().map(|l| style.paint(Ink::Warning, l)));
+            lines.extend(style.told(Ink::Warning, &words, "    "));
         }
     }
     if !driven.criteria.is_empty() {
@@ -268,11 +267,11 @@ pub(super) fn closed_loop_lines(outcome: &Outcome, driven: &ClosedLoop, style: S
         lines.push(style.paint(Ink::Dim, &path_words(path)));
         lines.extend(error_lines(rows(&path.modes, None, ""), style));
         for words in path_remarks(path) {
-            lines.extend(wrap(&printable(&words), "    ").iter().map(|l| style.paint(Ink::Warning, l)));
+            lines.extend(style.told(Ink::Warning, &words, "    "));
         }
     }
     for words in failure_words(driven) {
-        lines.extend(wrap(&printable(&words), "    ").iter().map(|l| style.paint(Ink::Warning, l)));
+        lines.extend(style.told(Ink::Warning, &words, "    "));
     }
     lines.push(String::new());
     lines
@@ -285,7 +284,7 @@ fn failure_words(driven: &ClosedLoop) -> impl Iterator<Item = String> + '_ {
 /// What was driven, in words.
 fn remarks(driven: &ClosedLoop) -> Vec<String> {
     vec![format!(
-        "the goal at each pose of the verification set is {} by the nominal robot there; redundancy {}; each row is the set measured once more, at the same hour and with the same draws, in the mode's own frame",
+        "the goal at each verification pose is {}, as the nominal robot has it there; redundancy: {}; every row drives and measures the whole set once more, under the same conditions and with the same random numbers, in the frame of its mode",
         goal_words(driven).1,
         criterion_words(driven.redundancy)
     )]
@@ -313,7 +312,7 @@ fn criterion_lines(driven: &ClosedLoop, style: Style) -> Vec<String> {
         "redundancy resolved otherwise: predicted droop, and errors by commands of \"{}\", mm",
         title(mode)
     );
-    let mut lines: Vec<String> = wrap(&heading, "    ").iter().map(|l| style.paint(Ink::Dim, l)).collect();
+    let mut lines: Vec<String> = style.told(Ink::Dim, &heading, "    ");
     lines.push(aligned(
         "",
         &["droop", "(max)", "mean x", "mean y", "mean z", "RMS 3D", "nominal"].map(str::to_owned),
@@ -385,7 +384,7 @@ pub(super) fn closed_loop_section(outcome: &Outcome) -> Result<Markup, ReportErr
         section #compensated {
             h2 { "Compensated" }
             p {
-                "Commands that every identified robot corrects, driven on the machine and measured again: where the tool was measured, minus where it was to be."
+                "Each identified robot corrects the commands; the machine drives them and is measured again. The table has where the tool was measured minus where it was to be."
             }
             (goal_table(outcome, driven))
             @for words in remarks(driven) { p.note { (capital(&words)) "." } }
@@ -395,7 +394,8 @@ pub(super) fn closed_loop_section(outcome: &Outcome) -> Result<Markup, ReportErr
             @for words in failure_words(driven) { p.note { strong { (capital(&words)) "." } } }
             (figure(&modes, &bars, &html! {
                 "Distance of the measured tool from its goal, pose by pose. "
-                "\u{201c}" (Mode::WithoutCalibration.title()) "\u{201d} stands for the nominal commands."
+                "\u{201c}" (Mode::WithoutCalibration.title()) "\u{201d} are the nominal commands."
+                (thinned_words(driven.modes.first().map_or(0, |mode| mode.points.len()), MOST))
             }, false))
             @if !driven.criteria.is_empty() { (criterion_table(driven)) }
             @if let Some(test) = &driven.pose_test { (pose_test_table(test)) }
@@ -499,8 +499,8 @@ fn pose_test_table(test: &DrivenPoseTest) -> Markup {
             }
         }
         p.note {
-            "AP is the distance of the barycentre of all cycles from the commanded position, RP the radius about it that the standard defines from their scatter; "
-            "one approach."
+            "AP is the distance of the barycentre of all cycles from the commanded position. RP is the radius about the barycentre that the standard defines from the scatter of the cycles. "
+            "All cycles approach from one side."
         }
     }
 }
@@ -546,7 +546,8 @@ fn path_figure(path: &DrivenPath) -> Result<String, ReportError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::{html_report, json_report, render_tables, sample};
+    use crate::report::tests::sample;
+    use crate::report::{html_report, json_report, render_tables};
 
     /// The figures of the rows are those of the driven points, wherever they are told.
     #[test]

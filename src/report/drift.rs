@@ -3,7 +3,7 @@
 use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
 
-use super::counted;
+use super::words::counted;
 use crate::pipeline::Outcome;
 use calibrig_model::measurement::{DriftVerdict, MissingForDrift, StationDrift};
 
@@ -90,7 +90,7 @@ pub(super) fn drift_words(drift: &StationDrift) -> Vec<String> {
     let rounds = format!("{} of {}", counted(drift.rounds, "round"), counted(drift.nests, "nest"));
     let verdict = match &drift.verdict {
         DriftVerdict::Removed(size) => format!(
-            "station {}: {rounds} show that the tracker moved by {} and turned by {:.1} urad; readings were corrected by {} RMS, which is known within {} (3-D)",
+            "station {}: {rounds} show that the tracker moved by {} and turned by {:.1} urad; readings were corrected by {} RMS, with a standard deviation of {} (3-D)",
             drift.station,
             um(size.motion),
             1e6 * size.turn,
@@ -107,7 +107,7 @@ pub(super) fn drift_words(drift: &StationDrift) -> Vec<String> {
                 MissingForDrift::Readings => "too few nests were measured again",
             };
             format!(
-                "station {}: {rounds}, and whether the tracker moved is not known: {missing}; nothing was corrected",
+                "station {}: {rounds}; whether the tracker moved is not known, because {missing}; nothing was corrected",
                 drift.station
             )
         }
@@ -117,7 +117,7 @@ pub(super) fn drift_words(drift: &StationDrift) -> Vec<String> {
         && size.outside > 0
     {
         lines.push(format!(
-            "{} before the first or behind the last round of nests; measure nests before and after",
+            "{} before the first or after the last round of nests; next time measure nests before and after all poses",
             counted(size.outside, "reading")
         ));
     }

@@ -2,24 +2,29 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::acceptance_bounds::{JsonAcceptance, by_pose, json_acceptance};
-use super::closed_loop::{self, JsonCompensation};
+use super::acceptance_bounds::by_pose;
+use super::closed_loop;
+use super::closed_loop::JsonCompensation;
+use super::document::{JsonDropped, JsonInput, JsonSoftware, axes, finite};
 use super::drift::{JsonDrift, json_drift};
+use super::judgement::JsonOutlier;
 use super::judgement::{JsonJudgement, json_judgement};
-use super::parameters::{fitted, truth_of};
-use super::pose_count;
+use super::parameters::fitted;
+use super::parameters::truth_of;
 use super::residuals::{JsonResidual, json_residuals};
 use super::sensors::{JsonSensors, json_sensors};
+use super::sets::json_row;
+use super::sets::{JsonMissing, JsonOrientationRow, JsonRepeats, JsonRow, JsonSet};
 use super::splits::{JsonSplits, json_splits};
 use super::sweeps::{JsonSweeps, json_sweeps};
+use super::words::pose_count;
 use crate::pipeline::{
     AblatedPart, Ablation, CarriedReport, MissingReading, Outcome, SetKind, SetOutcome, Worse,
 };
 use calibrig_estimation::evaluation::AccuracyRow;
-use calibrig_estimation::identification::{Estimate, Mode, NoiseScale, Outlier, Warning};
+use calibrig_estimation::identification::{Estimate, Mode, NoiseScale, Warning};
 
 /// The schema's name.
 pub const SCHEMA: &str = "calibrig.report/1";
@@ -98,26 +103,6 @@ pub struct JsonAblationRow {
     pub rms_3d_change_m: Option<f64>,
 }
 
-/// What wrote the report.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct JsonSoftware {
-    /// Version of calibrig.
-    pub version: String,
-}
-
-/// Where the measurements came from.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct JsonInput {
-    /// `scenario`, `files` or `recording`.
-    pub kind: String,
-    /// Its name for people.
-    pub name: String,
-    /// Hash over every input file, hexadecimal.
-    pub sha256: String,
-    /// The seed of a simulation, else null.
-    pub seed: Option<u64>,
-}
-
 /// How the tracker's frame was tied to the robot's.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct JsonRegistration {
@@ -127,93 +112,6 @@ pub struct JsonRegistration {
     pub poses: usize,
     /// RMS of the 3-D residual, m.
     pub rms_m: Option<f64>,
-}
-
-/// A set of poses.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct JsonSet {
-    /// Distinct poses measured.
-    pub poses: usize,
-    /// Poses planned but not measured.
-    pub dropped: Vec<JsonDropped>,
-    /// Readings of measured poses that were planned and did not come; absent where none.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub missing: Vec<JsonMissing>,
-    /// What repeats of a pose scatter by; absent where no pose is measured more than once.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub repeats: Option<JsonRepeats>,
-    /// What the flange carried, in the order of the first pose with it; absent where it never carried anything.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub payloads: Vec<CarriedReport>,
-    /// By the key of the mode; rows that do not apply are absent.
-    pub rows: BTreeMap<String, JsonRow>,
-}
-
-/// A reading that did not come.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct JsonMissing {
-    /// Number of the pose.
-    pub pose: u32,
-    /// Name of the station.
-    pub station: String,
-    /// Name of the target.
-    pub target: String,
-    /// Why, such as the link that hides it.
-    pub why: String,
-}
-
-/// Poses that are measured more than once.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct JsonRepeats {
-    /// Their number.
-    pub poses: usize,
-    /// Readings of them beyond the first.
-    pub repeats: usize,
-    /// RMS distance of a reading from the mean of its pose, m: the least that rows of single readings can have.
-    pub rms_3d_m: Option<f64>,
-}
-
-/// A pose that was not measured.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct JsonDropped {
-    /// Its number.
-    pub pose: u32,
-    /// Why.
-    pub why: String,
-}
-
-/// A row of the accuracy table, m, in the base frame.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct JsonRow {
-    /// Largest absolute error per axis.
-    pub max_m: [Option<f64>; 3],
-    /// Mean absolute error per axis.
-    pub mean_m: [Option<f64>; 3],
-    /// Mean signed error per axis.
-    pub bias_m: [Option<f64>; 3],
-    /// RMS of the 3-D error.
-    pub rms_3d_m: Option<f64>,
-    /// Largest 3-D error.
-    pub max_3d_m: Option<f64>,
-    /// Number of observations.
-    pub n: usize,
-    /// What held-out errors say of all poses of the region; absent of other sets.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub acceptance: Option<JsonAcceptance>,
-    /// Errors of orientations; absent where none was measured.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub orientation: Option<JsonOrientationRow>,
-}
-
-/// Angles between measured and predicted orientations, rad.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct JsonOrientationRow {
-    /// Root mean square.
-    pub rms_rad: Option<f64>,
-    /// Largest.
-    pub max_rad: Option<f64>,
-    /// Number of orientations.
-    pub n: usize,
 }
 
 /// A parameter that was left out of a fit.
@@ -346,47 +244,6 @@ pub struct JsonContradiction {
     pub coordinates: usize,
 }
 
-/// An observation far off the others.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct JsonOutlier {
-    /// Number of its pose.
-    pub pose: u32,
-    /// Name of its target, where there are several.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub target: Option<String>,
-    /// Name of its station, where there are several.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub station: Option<String>,
-    /// How far it is from where a fit without it predicts it, m.
-    #[serde(default)]
-    pub distance_m: Option<f64>,
-    /// How far it is turned from there, rad; absent where its orientation is not a gross error.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub turn_rad: Option<f64>,
-    /// The larger of the two in standard deviations of a coordinate.
-    pub size: Option<f64>,
-    /// What it still counts for in the fit, from 1 down to 0.
-    pub weight: Option<f64>,
-    /// The pose that it has exchanged its point with.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub exchanged_with: Option<u32>,
-}
-
-impl From<&Outlier> for JsonOutlier {
-    fn from(o: &Outlier) -> Self {
-        Self {
-            pose: o.pose,
-            target: o.target.clone(),
-            station: o.station.clone(),
-            distance_m: finite(o.distance),
-            turn_rad: o.turn.and_then(finite),
-            size: finite(o.size),
-            weight: finite(o.weight),
-            exchanged_with: o.exchanged_with,
-        }
-    }
-}
-
 /// A parameter of a mode, in the unit of `unit`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct JsonParameter {
@@ -423,13 +280,8 @@ pub fn json_report(outcome: &Outcome) -> JsonReport {
     let fitted = fitted(outcome);
     JsonReport {
         schema: SCHEMA.to_owned(),
-        software: JsonSoftware { version: env!("CARGO_PKG_VERSION").to_owned() },
-        input: JsonInput {
-            kind: outcome.input.kind.to_owned(),
-            name: outcome.input.name.clone(),
-            sha256: outcome.input.sha256.clone(),
-            seed: outcome.input.seed,
-        },
+        software: JsonSoftware::own(),
+        input: JsonInput::from(&outcome.input),
         registration: JsonRegistration {
             how: outcome.registration.how.clone(),
             poses: outcome.registration.poses,
@@ -504,7 +356,6 @@ fn json_worse(worse: &Worse) -> JsonWorse {
 }
 
 fn json_ablation(ablation: &Ablation) -> JsonAblation {
-    let axes = |v: Vector3<f64>| [finite(v.x), finite(v.y), finite(v.z)];
     let rows = |part: &AblatedPart, set: usize| {
         let row = |(place, mode): (usize, &Mode)| {
             let (without, complete) = ablation.pair(part, place, set)?;
@@ -584,21 +435,6 @@ fn json_set(outcome: &Outcome, index: usize, set: &SetOutcome) -> JsonSet {
     }
 }
 
-/// A row, and what it says of the region where its poses were held out, by the largest error of each, m.
-pub(super) fn json_row(row: &AccuracyRow, held_out: Option<&[f64]>) -> JsonRow {
-    let axes = |v: &Vector3<f64>| [finite(v.x), finite(v.y), finite(v.z)];
-    JsonRow {
-        max_m: axes(&row.max),
-        mean_m: axes(&row.mean),
-        bias_m: axes(&row.bias),
-        rms_3d_m: finite(row.rms_3d),
-        max_3d_m: finite(row.max_3d),
-        n: row.count,
-        acceptance: held_out.and_then(json_acceptance),
-        orientation: None,
-    }
-}
-
 fn json_estimate(estimate: &Estimate) -> JsonEstimate {
     let status = estimate.reasons().find_map(Warning::reason).unwrap_or("ok");
     let (chi2_per_dof, residual_sigma) = match estimate.noise {
@@ -663,14 +499,10 @@ fn json_estimate(estimate: &Estimate) -> JsonEstimate {
     }
 }
 
-pub(super) fn finite(value: f64) -> Option<f64> {
-    value.is_finite().then_some(value)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::sample;
+    use crate::report::tests::sample;
     use serde_json::Value;
 
     fn document(outcome: &Outcome) -> Value {

@@ -2,9 +2,9 @@
 
 use crate::pipeline::{KnownTruth, Outcome, SetKind, Truth};
 use calibrig_estimation::identification::{Estimate, Mode};
+use calibrig_model::ParameterId;
 use calibrig_model::measurement::Target;
 use calibrig_model::statistics::NORMAL_95;
-use calibrig_model::{ParameterId, Unit};
 
 /// What a mode says of a parameter, m or rad.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -41,6 +41,11 @@ pub(super) struct ParameterRow {
 }
 
 impl ParameterRow {
+    /// What the mode with this place says.
+    pub fn cell(&self, slot: usize) -> Option<&ParameterCell> {
+        self.cells.get(slot)?.as_ref()
+    }
+
     pub fn truth(&self) -> Option<f64> {
         self.cells.iter().flatten().find_map(|cell| cell.truth)
     }
@@ -104,73 +109,10 @@ fn known_truth<'a>(outcome: &'a Outcome, truth: &'a Truth, targets: &'a [Target]
     }
 }
 
-/// The unit that a parameter is printed in, and what an SI value is multiplied with.
-pub(super) fn printed_unit(unit: Unit) -> (&'static str, f64) {
-    match unit {
-        Unit::Metre => ("mm", 1e3),
-        Unit::Radian => ("mrad", 1e3),
-        Unit::One => ("%", 1e2),
-    }
-}
-
-/// What a parameter is, in words; numbers count from one.
-pub(super) fn parameter_words(id: ParameterId) -> String {
-    use calibrig_model::{Compliance, LinkTerm, LinkageTerm};
-    const AXES: [&str; 3] = ["x", "y", "z"];
-    match id {
-        ParameterId::Link { link, term } => {
-            let term = match term {
-                LinkTerm::A => "length a",
-                LinkTerm::Alpha => "twist α",
-                LinkTerm::Beta => "tilt β",
-                LinkTerm::D => "offset d",
-                LinkTerm::Theta => "angle θ",
-            };
-            format!("link {}, {term}", link + 1)
-        }
-        ParameterId::Frame { station, component } => {
-            let how = if component < 3 { "along" } else { "about" };
-            format!("base seen from station {}, {how} {}", station + 1, AXES[component % 3])
-        }
-        ParameterId::Target { target, axis } => {
-            format!("target {} on the flange, {}", target + 1, AXES[axis % 3])
-        }
-        ParameterId::Orientation { target, axis } => {
-            format!("target {} turned on the flange, about its {}", target + 1, AXES[axis % 3])
-        }
-        ParameterId::Compliance(Compliance::Drive { joint }) => format!("compliance of drive {}", joint + 1),
-        ParameterId::Compliance(Compliance::Bearing { joint, axis }) => {
-            let how = if axis < 3 { "along" } else { "about" };
-            format!("compliance of bearing {}, {how} {}", joint + 1, AXES[axis % 3])
-        }
-        ParameterId::Compliance(Compliance::Beam { link }) => format!("compliance of link {}", link + 1),
-        ParameterId::Compliance(Compliance::Rod) => "compliance of the coupler rod".to_owned(),
-        ParameterId::Mass { link } => format!("mass of link {}", link + 1),
-        ParameterId::Centre { link, axis } => {
-            format!("centre of mass of link {}, {}", link + 1, AXES[axis % 3])
-        }
-        ParameterId::Linkage(LinkageTerm::Crank) => "length of the crank".to_owned(),
-        ParameterId::Linkage(LinkageTerm::Lever) => "length of the lever".to_owned(),
-        ParameterId::Linkage(LinkageTerm::Rod) => "length of the coupler rod".to_owned(),
-        ParameterId::Linkage(LinkageTerm::AxisX) => "crank's axis off the shoulder's, along x".to_owned(),
-        ParameterId::Linkage(LinkageTerm::AxisY) => "crank's axis off the shoulder's, along y".to_owned(),
-        ParameterId::Linkage(LinkageTerm::AxisRx) => "tilt of the crank's axis, about x".to_owned(),
-        ParameterId::Linkage(LinkageTerm::AxisRy) => "tilt of the crank's axis, about y".to_owned(),
-        ParameterId::Term(term) => format!("{}: {term}", term.family().about()),
-        ParameterId::Instrument { instrument, term } => {
-            format!("tracker {}: {}", instrument + 1, term.about())
-        }
-        ParameterId::Drift { station, component } => {
-            let how = if component < 3 { "along" } else { "about" };
-            format!("drift of station {} in an hour, {how} {}", station + 1, AXES[component % 3])
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::sample;
+    use crate::report::tests::sample;
     use calibrig_model::LinkTerm;
 
     #[test]

@@ -5,12 +5,11 @@ use std::ops::{Range, RangeInclusive};
 
 use plotters::coord::Shift;
 use plotters::coord::types::RangedCoordf64;
-use plotters::element::{DashedPathElement, DynElement, IntoDynElement};
+use plotters::element::{DashedPathElement, DynElement};
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use super::ReportError;
-use crate::pipeline::{ModeOutcome, Outcome, SetKind};
+use super::files::ReportError;
 use calibrig_estimation::identification::Mode;
 
 pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
@@ -91,102 +90,6 @@ pub(super) fn hex(RGBColor(r, g, b): RGBColor) -> String {
     format!("#{r:02X}{g:02X}{b:02X}")
 }
 
-/// Signed errors per axis against the pose number, a column of panels a set; mm.
-pub(super) fn residuals(outcome: &Outcome, modes: &[&ModeOutcome]) -> Result<String, ReportError> {
-    const TITLE: i32 = 22;
-    const PANEL: i32 = 140;
-    const FOOT: i32 = 20;
-    let size = (WIDTH, TITLE + 3 * PANEL + FOOT);
-    svg("residuals", "Errors per axis against the pose number", size, |area| {
-        for (column, (set, cell)) in set_columns(outcome, area).into_iter().enumerate() {
-            let (title, rest) = cell.split_vertically(px(TITLE));
-            column_title(&title, outcome.sets[set].kind)?;
-            let poses =
-                finite_range(outcome.sets[set].measurements.observations.iter().map(|o| f64::from(o.pose)));
-            let poses = poses.start - 1.0..poses.end + 1.0;
-            let (panels, _) = rest.split_vertically(px(3 * PANEL));
-            for (axis, panel) in panels.split_evenly((3, 1)).iter().enumerate() {
-                let all = modes.iter().flat_map(|m| m.errors.iter().flatten());
-                let reach = 1.08 * largest(all.map(|e| 1e3 * e[axis]));
-                let mut chart = frame(panel, poses.clone(), -reach..reach, 26)?;
-                let name = format!("{} error, mm", ["x", "y", "z"][axis]);
-                mesh(&mut chart, "", if column == 0 { &name } else { "" }, true)?;
-                chart.draw_series(LineSeries::new([(poses.start, 0.0), (poses.end, 0.0)], ink(1)))?;
-                for mode in modes {
-                    let observations = &outcome.sets[set].measurements.observations;
-                    let errors = mode.errors.get(set).map_or(&[][..], Vec::as_slice);
-                    let size = if observations.len() > 300 { 4 } else { 6 };
-                    let points = observations.iter().zip(errors).filter(|(_, e)| drawable(1e3 * e[axis]));
-                    let look = look(mode.mode);
-                    for (o, e) in points {
-                        let at = (f64::from(o.pose), 1e3 * e[axis]);
-                        chart.plotting_area().draw(&marker(&look, at, size))?;
-                    }
-                }
-            }
-            foot(&rest, "pose")?;
-        }
-        Ok(())
-    })
-}
-
-/// Share of observations whose 3-D error is at most so large, a panel a set; logarithmic in mm.
-pub(super) fn distribution(outcome: &Outcome) -> Result<String, ReportError> {
-    const TITLE: i32 = 22;
-    const PANEL: i32 = 280;
-    const FOOT: i32 = 20;
-    svg("error magnitudes", "Cumulative share of 3-D errors", (WIDTH, TITLE + PANEL + FOOT), |area| {
-        let magnitudes = |mode: &ModeOutcome, set: usize| -> Vec<f64> {
-            let mut values: Vec<_> = mode
-                .errors
-                .get(set)
-                .into_iter()
-                .flatten()
-                .map(|e| 1e3 * e.norm())
-                .filter(|v| drawable(*v))
-                .collect();
-            values.sort_by(f64::total_cmp);
-            values
-        };
-        let everything: Vec<Vec<f64>> = outcome
-            .modes
-            .iter()
-            .flat_map(|m| (0..outcome.sets.len()).map(move |set| magnitudes(m, set)))
-            .filter(|v| !v.is_empty())
-            .collect();
-        // The lowest twentieth of the best curve may run off the page: it would stretch the axis over decades.
-        let low = everything.iter().map(|v| v[v.len() / 20]).fold(f64::INFINITY, f64::min);
-        let high = everything.iter().filter_map(|v| v.last()).fold(0.0, |a: f64, b| a.max(*b));
-        let ticks = one_two_five(low, high);
-        let (Some(first), Some(last)) = (ticks.first(), ticks.last()) else { return Ok(()) };
-        let x = first.log10()..last.log10();
-        for (column, (set, cell)) in set_columns(outcome, area).into_iter().enumerate() {
-            let (title, rest) = cell.split_vertically(px(TITLE));
-            column_title(&title, outcome.sets[set].kind)?;
-            let (panel, _) = rest.split_vertically(px(PANEL));
-            let mut chart = frame(&panel, x.clone(), 0.0..102.0, 26)?;
-            mesh(&mut chart, "", if column == 0 { "share of observations, %" } else { "" }, false)?;
-            vertical_ticks(&panel, &chart, &ticks, &(0.0..102.0))?;
-            for mode in &outcome.modes {
-                let values = magnitudes(mode, set);
-                let share = |i: usize| 100.0 * i as f64 / values.len() as f64;
-                let steps: Vec<_> = values
-                    .iter()
-                    .enumerate()
-                    .flat_map(|(i, v)| {
-                        let at = v.log10().max(x.start);
-                        [(at, share(i)), (at, share(i + 1))]
-                    })
-                    .chain(values.last().map(|_| (x.end, 100.0)))
-                    .collect();
-                curve(&chart, &look(mode.mode), steps)?;
-            }
-            foot(&rest, "3-D error, mm (logarithmic)")?;
-        }
-        Ok(())
-    })
-}
-
 /// What a curve of magnitudes shows.
 pub(super) struct Curve {
     pub look: Look,
@@ -210,50 +113,22 @@ pub(super) fn magnitudes(
     let high = points().map(|(_, y)| *y).fold(0.0, f64::max);
     svg(figure, label, (WIDTH, PANEL + FOOT), |area| {
         let ticks = one_two_five(low, high);
-        let (Some(first), Some(last)) = (ticks.first(), ticks.last()) else { return Ok(()) };
+        let Some(first) = ticks.first() else { return Ok(()) };
         let (panel, _) = area.split_vertically(px(PANEL));
-        let y = first.log10()..last.log10();
         let x = padded(&finite_range(points().map(|(x, _)| *x)));
-        let mut chart = ChartBuilder::on(&panel)
-            .margin_top(px(6))
-            .margin_right(px(10))
-            .x_label_area_size(px(26))
-            .y_label_area_size(px(62))
-            .build_cartesian_2d(x.clone(), y.clone())?;
-        mesh_without_rows(&mut chart, "3-D error, mm (logarithmic)")?;
-        horizontal_ticks(&panel, &chart, &ticks, &x)?;
-        for curve_ in curves {
+        let axes = Axes { top: 6, title: "3-D error, mm (logarithmic)", ..Axes::default() };
+        let chart = axes.draw_log(&panel, x, log_range(&ticks), &ticks)?;
+        for own in curves {
             let at = |(x, y): &(f64, f64)| (*x, y.log10().max(first.log10()));
-            let points: Vec<_> = curve_.points.iter().filter(shown).map(at).collect();
-            if curve_.joined {
-                curve(&chart, &curve_.look, points)?;
-                continue;
-            }
-            let size = if points.len() > 300 { 4 } else { 6 };
-            for point in points {
-                chart.plotting_area().draw(&marker(&curve_.look, point, size))?;
-            }
+            let points = thinned(own.points.iter().filter(shown).map(at).collect(), MOST);
+            if own.joined { curve(&chart, &own.look, points)? } else { markers(&chart, &own.look, &points)? }
         }
         foot(area, below)
     })
 }
 
-pub(super) fn mesh_without_rows(chart: &mut Chart, y_title: &str) -> Drawn {
-    chart
-        .configure_mesh()
-        .disable_mesh()
-        .x_labels(10)
-        .y_labels(0)
-        .axis_style(INK.mix(0.6).stroke_width(2))
-        .label_style(text_style())
-        .axis_desc_style(text_style())
-        .y_desc(y_title)
-        .x_label_formatter(&|v| tick(*v))
-        .draw()
-}
-
 /// Grid lines and labels at values of an upright logarithmic axis that plotters takes for a linear one.
-pub(super) fn horizontal_ticks(area: &Area, chart: &Chart, ticks: &[f64], x: &Range<f64>) -> Drawn {
+fn horizontal_ticks(area: &Area, chart: &Chart, ticks: &[f64], x: &Range<f64>) -> Drawn {
     let plot = chart.plotting_area();
     let style = text_style().pos(Pos::new(HPos::Right, VPos::Center));
     let (left, top) = area.get_base_pixel();
@@ -283,56 +158,6 @@ pub(super) fn svg(
     Ok(text.replacen("<svg ", &format!("<svg role=\"img\" aria-label=\"{label}\" "), 1))
 }
 
-/// A column a measured set, as wide as its share of the observations allows.
-fn set_columns<'a>(outcome: &Outcome, area: &Area<'a>) -> Vec<(usize, Area<'a>)> {
-    let counts: Vec<_> = outcome
-        .sets
-        .iter()
-        .enumerate()
-        .map(|(index, set)| (index, set.measurements.observations.len()))
-        .filter(|(_, count)| *count > 0)
-        .collect();
-    if let [(first, a), (second, b)] = counts.as_slice() {
-        let share = (*a as f64 / (a + b) as f64).clamp(0.4, 0.6);
-        let (left, right) = area.split_horizontally((100.0 * share).percent_width());
-        return vec![(*first, left), (*second, right)];
-    }
-    let columns = area.split_evenly((1, counts.len().max(1)));
-    counts.iter().map(|(set, _)| *set).zip(columns).collect()
-}
-
-pub(super) fn frame<'a, 'b>(
-    area: &Area<'a>,
-    x: Range<f64>,
-    y: Range<f64>,
-    labels: i32,
-) -> Drawn<Chart<'a, 'b>> {
-    ChartBuilder::on(area)
-        .margin_top(px(4))
-        .margin_right(px(10))
-        .x_label_area_size(px(labels))
-        .y_label_area_size(px(62))
-        .build_cartesian_2d(x, y)
-}
-
-pub(super) fn mesh(chart: &mut Chart, x_title: &str, y_title: &str, x_labels: bool) -> Drawn {
-    chart
-        .configure_mesh()
-        .disable_x_mesh()
-        .x_labels(if x_labels { 10 } else { 0 })
-        .y_labels(6)
-        .bold_line_style(GRID.stroke_width(2))
-        .light_line_style(TRANSPARENT)
-        .axis_style(INK.mix(0.6).stroke_width(2))
-        .label_style(text_style())
-        .axis_desc_style(text_style())
-        .x_desc(x_title)
-        .y_desc(y_title)
-        .x_label_formatter(&|v| tick(*v))
-        .y_label_formatter(&|v| tick(*v))
-        .draw()
-}
-
 /// Grid lines and labels at values of a logarithmic axis that plotters takes for a linear one.
 pub(super) fn vertical_ticks(area: &Area, chart: &Chart, ticks: &[f64], y: &Range<f64>) -> Drawn {
     let plot = chart.plotting_area();
@@ -355,15 +180,12 @@ pub(super) fn vertical_ticks(area: &Area, chart: &Chart, ticks: &[f64], y: &Rang
 
 pub(super) fn curve(chart: &Chart, look: &Look, points: Vec<(f64, f64)>) -> Drawn {
     let style = look.light.stroke_width(4);
-    if points.is_empty() {
-        return Ok(());
-    }
     match look.dash {
+        _ if points.is_empty() => Ok(()),
         None => chart.plotting_area().draw(&PathElement::new(points, style)),
         Some((dash, gap)) => {
             let scale = SCALE.unsigned_abs();
-            let element = DashedPathElement::new(points, dash * scale, gap * scale, style);
-            chart.plotting_area().draw(&element)
+            chart.plotting_area().draw(&DashedPathElement::new(points, dash * scale, gap * scale, style))
         }
     }
 }
@@ -390,10 +212,6 @@ pub(super) fn marker<'a, DB: DrawingBackend + 'a>(
     }
 }
 
-fn column_title(area: &Area, kind: SetKind) -> Drawn {
-    centred(area, super::set_title(kind))
-}
-
 pub(super) fn centred(area: &Area, text: &str) -> Drawn {
     let (width, height) = area.dim_in_pixel();
     let at = (i32::try_from(width / 2).unwrap_or(0), i32::try_from(height / 2).unwrap_or(0));
@@ -405,25 +223,177 @@ pub(super) fn centred(area: &Area, text: &str) -> Drawn {
 pub(super) const VIEWS: [(&str, usize, usize); 3] =
     [("x\u{2013}y", 0, 1), ("x\u{2013}z", 0, 2), ("y\u{2013}z", 1, 2)];
 
+/// Which lines of the grid are drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Grid {
+    None,
+    Rows,
+    Both,
+}
+
+/// The axes of a chart: margins and room for numbers in pixels as they are shown, and how many numbers are wished for.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Axes<'t> {
+    pub top: i32,
+    pub right: i32,
+    /// Room for numbers below and to the left.
+    pub room: (i32, i32),
+    /// Numbers on the horizontal and on the upright axis.
+    pub labels: (usize, usize),
+    pub grid: Grid,
+    /// Beside the upright axis.
+    pub title: &'t str,
+}
+
+impl Default for Axes<'_> {
+    fn default() -> Self {
+        Self { top: 4, right: 10, room: (26, 62), labels: (10, 6), grid: Grid::Rows, title: "" }
+    }
+}
+
+impl Axes<'_> {
+    pub fn draw<'a, 'b>(&self, area: &'b Area<'a>, x: Range<f64>, y: Range<f64>) -> Drawn<Chart<'a, 'b>> {
+        let mut chart = ChartBuilder::on(area)
+            .margin_top(px(self.top))
+            .margin_right(px(self.right))
+            .x_label_area_size(px(self.room.0))
+            .y_label_area_size(px(self.room.1))
+            .build_cartesian_2d(x, y)?;
+        let mut mesh = chart.configure_mesh();
+        match self.grid {
+            Grid::None => mesh.disable_mesh(),
+            Grid::Rows => mesh.disable_x_mesh(),
+            Grid::Both => &mut mesh,
+        };
+        mesh.x_labels(self.labels.0)
+            .y_labels(self.labels.1)
+            .bold_line_style(GRID.stroke_width(2))
+            .light_line_style(TRANSPARENT)
+            .axis_style(INK.mix(0.6).stroke_width(2))
+            .label_style(text_style())
+            .axis_desc_style(text_style())
+            .y_desc(self.title)
+            .x_label_formatter(&|v| tick(*v))
+            .y_label_formatter(&|v| tick(*v))
+            .draw()?;
+        Ok(chart)
+    }
+
+    /// With an upright axis of logarithms, and lines at these values.
+    pub fn draw_log<'a, 'b>(
+        &self,
+        area: &'b Area<'a>,
+        x: Range<f64>,
+        y: Range<f64>,
+        ticks: &[f64],
+    ) -> Drawn<Chart<'a, 'b>> {
+        let axes = Self { grid: Grid::None, labels: (self.labels.0, 0), ..*self };
+        let chart = axes.draw(area, x.clone(), y)?;
+        horizontal_ticks(area, &chart, ticks, &x)?;
+        Ok(chart)
+    }
+}
+
+/// From the first to the last of the values of a logarithmic axis; never empty.
+pub(super) fn log_range(ticks: &[f64]) -> Range<f64> {
+    let low = ticks.first().map_or(-1.0, |tick| tick.log10());
+    low..ticks.last().map_or(0.0, |tick| tick.log10()).max(low + 0.1)
+}
+
 /// The axes of a view of places, m.
 pub(super) fn place_axes<'a, 'b>(area: &'b Area<'a>, x: Range<f64>, y: Range<f64>) -> Drawn<Chart<'a, 'b>> {
-    let mut chart = ChartBuilder::on(area)
-        .margin_top(px(4))
-        .margin_right(px(12))
-        .x_label_area_size(px(26))
-        .y_label_area_size(px(44))
-        .build_cartesian_2d(x, y)?;
-    chart
-        .configure_mesh()
-        .disable_mesh()
-        .x_labels(5)
-        .y_labels(6)
-        .axis_style(INK.mix(0.6).stroke_width(2))
-        .label_style(text_style())
-        .x_label_formatter(&|v| tick(*v))
-        .y_label_formatter(&|v| tick(*v))
-        .draw()?;
-    Ok(chart)
+    let axes = Axes { right: 12, room: (26, 44), labels: (5, 6), grid: Grid::None, ..Axes::default() };
+    axes.draw(area, x, y)
+}
+
+/// Three views of places in the base frame beside each other, each with its title above it. `draw` is given the axes across and up.
+pub(super) fn three_views(area: &Area, draw: impl Fn(&Area, (usize, usize)) -> Drawn) -> Drawn {
+    for (cell, (title, across, up)) in area.split_evenly((1, 3)).iter().zip(VIEWS) {
+        let (head, panel) = cell.split_vertically(px(22));
+        centred(&head, &format!("{title}, m"))?;
+        draw(&panel, (across, up))?;
+    }
+    Ok(())
+}
+
+/// 1, 2 or 5 times a power of ten, not above `wanted`: how many times as long as they are arrows are drawn.
+pub(super) fn round_below(wanted: f64) -> Option<f64> {
+    let decade = 10_f64.powf(wanted.log10().floor());
+    let step = [5.0, 2.0, 1.0].into_iter().find(|step| step * decade <= wanted).unwrap_or(1.0);
+    Some(step * decade).filter(|factor| factor.is_finite() && *factor > 0.0)
+}
+
+/// A line from end to end of an interval, with bars at its ends.
+pub(super) fn whisker(chart: &Chart, style: ShapeStyle, ends: [f64; 2], y: f64) -> Drawn {
+    let (plot, half) = (chart.plotting_area(), 5);
+    plot.draw(&PathElement::new(ends.map(|x| (x, y)).to_vec(), style))?;
+    for x in ends {
+        plot.draw(&(EmptyElement::at((x, y)) + PathElement::new(vec![(0, -half), (0, half)], style)))?;
+    }
+    Ok(())
+}
+
+/// Markers of a series; smaller ones where there are many.
+pub(super) fn markers(chart: &Chart, look: &Look, points: &[(f64, f64)]) -> Drawn {
+    let size = if points.len() > 300 { 4 } else { 6 };
+    points.iter().try_for_each(|at| chart.plotting_area().draw(&marker(look, *at, size)))
+}
+
+/// A dashed line that stands for a value.
+pub(super) fn dashed(chart: &Chart, ends: [(f64, f64); 2], style: ShapeStyle) -> Drawn {
+    let scale = SCALE.unsigned_abs();
+    chart.plotting_area().draw(&DashedPathElement::new(ends.to_vec(), 6 * scale, 4 * scale, style))
+}
+
+/// Text at the right of a place, as of a name of a row.
+pub(super) fn text_at(area: &Area, text: &str, place: (i32, i32), anchor: (HPos, VPos)) -> Drawn {
+    area.draw(&Text::new(text.to_owned(), place, text_style().pos(Pos::new(anchor.0, anchor.1))))
+}
+
+/// Points of a curve over a whole figure, at most; of more, those of `thinned` are drawn.
+pub(super) const MOST: usize = 2 * MARKS;
+/// Marks of a series in a panel, at most.
+pub(super) const MARKS: usize = 180;
+
+/// Every so many-th index, the last among them.
+pub(super) fn sampled(count: usize, most: usize) -> impl Iterator<Item = usize> {
+    let step = count.div_ceil(most.max(1)).max(1);
+    (0..count).filter(move |index| index % step == 0 || index + 1 == count)
+}
+
+/// What is drawn of many points, in the order of x: in every class of equal width along x the lowest, the middle and the highest. The largest errors
+/// are always among them.
+pub(super) fn thinned(mut points: Vec<(f64, f64)>, most: usize) -> Vec<(f64, f64)> {
+    if points.len() <= most {
+        return points;
+    }
+    let range = finite_range(points.iter().map(|point| point.0));
+    let classes = (most / 3).max(1);
+    let class = |x: f64| (classes as f64 * (x - range.start) / (range.end - range.start)).floor();
+    let last = (classes - 1) as f64;
+    points.sort_by(|a, b| class(a.0).min(last).total_cmp(&class(b.0).min(last)).then(a.1.total_cmp(&b.1)));
+    let of_class = points.chunk_by(|a, b| class(a.0).min(last).total_cmp(&class(b.0).min(last)).is_eq());
+    let mut kept: Vec<_> = of_class
+        .flat_map(|own| {
+            let mut places = vec![0, own.len() / 2, own.len() - 1];
+            places.dedup();
+            places.into_iter().map(|place| own[place])
+        })
+        .collect();
+    kept.sort_by(|a, b| a.0.total_cmp(&b.0));
+    kept
+}
+
+/// What the caption says of a figure whose points are thinned; nothing where all `count` are drawn.
+pub(super) fn thinned_words(count: usize, most: usize) -> String {
+    if count <= most {
+        return String::new();
+    }
+    format!(
+        " Of {count} points at most {most} are drawn in each colour and panel: in each of {} classes of equal width the lowest, the middle and the highest, so that the \
+         worst are always shown. All are in residuals.csv.",
+        most / 3
+    )
 }
 
 /// The title of the horizontal axis, at the lower edge.
@@ -525,8 +495,6 @@ pub(super) fn one_two_five(low: f64, high: f64) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::sample;
-    use nalgebra::Vector3;
 
     #[test]
     fn logarithmic_ticks_enclose_the_data() {
@@ -547,32 +515,18 @@ mod tests {
     }
 
     #[test]
-    fn every_pose_is_drawn_in_the_colour_of_its_mode() {
-        let outcome = sample::simulated();
-        let modes: Vec<_> = outcome.modes.iter().collect();
-        let figure = residuals(&outcome, &modes).expect("a figure");
-        let circles = figure.matches("<circle").count();
-        assert_eq!(circles, 3 * 98, "one a pose and axis");
-        let blue = format!("<polygon opacity=\"1\" fill=\"{}\"", hex(LOOKS[1].light));
-        assert_eq!(figure.matches(&blue).count(), 3 * 98);
-        assert!(!figure.contains("#FFFFFF"), "no background");
-    }
-
-    #[test]
-    fn nothing_that_a_run_can_hold_stops_a_figure() {
-        for bad in [0.0, 1e-300, 1e12, f64::NAN, f64::INFINITY] {
-            let mut outcome = sample::simulated();
-            for mode in &mut outcome.modes {
-                for error in mode.errors.iter_mut().flatten() {
-                    *error = Vector3::repeat(bad);
-                }
-            }
-            let modes: Vec<_> = outcome.modes.iter().collect();
-            for figure in [residuals(&outcome, &modes), distribution(&outcome)] {
-                assert!(figure.expect("a figure").ends_with("</svg>\n"), "{bad}");
-            }
-            outcome.sets.clear();
-            assert!(residuals(&outcome, &[]).is_ok() && distribution(&outcome).is_ok());
-        }
+    fn thinned_points_keep_the_extremes_and_their_order() {
+        let points: Vec<_> = (0..10_000).map(|i| (f64::from(i), f64::from(i * 7919 % 1000))).collect();
+        let kept = thinned(points.clone(), MARKS);
+        assert!(kept.len() <= MARKS && kept.len() > MARKS / 2, "{}", kept.len());
+        let ends = |all: &[(f64, f64)]| {
+            all.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), (_, y)| (l.min(*y), h.max(*y)))
+        };
+        assert_eq!(ends(&kept), ends(&points));
+        assert!(kept.is_sorted_by(|a, b| a.0 <= b.0) && kept.iter().all(|point| points.contains(point)));
+        assert_eq!(thinned(points[..100].to_vec(), MARKS), points[..100]);
+        // All at one place, and one far from the others.
+        assert!(thinned(vec![(1.0, 2.0); 1000], MARKS).len() <= MARKS);
+        assert_eq!(thinned_words(MARKS, MARKS), "");
     }
 }

@@ -1,18 +1,23 @@
 //! Errors as arrows over the working region, and the session that they come from.
 
+use std::collections::BTreeMap;
+
 use maud::{Markup, html};
 use nalgebra::Vector3;
 use plotters::prelude::*;
 
+use super::files::ReportError;
 use super::plots::{
-    Area, Drawn, VIEWS, WIDTH, centred, finite_range, ink, look, padded, place_axes, px, svg,
+    Area, Drawn, WIDTH, finite_range, ink, look, padded, place_axes, px, round_below, svg, three_views,
 };
-use super::{ReportError, payload_words, set_title};
+use super::words::{payload_words, set_title};
 use crate::pipeline::{ModeOutcome, Outcome, SetOutcome};
 use calibrig_model::measurement::{Observation, Reading};
 
-const TITLE: i32 = 22;
-const PANEL: i32 = 260;
+/// Cells along each axis of which one arrow is drawn where there are many errors, and how many are many.
+const CELLS: usize = 6;
+const MANY: usize = 200;
+const HEIGHT: i32 = 282;
 /// Length of the longest arrow, as a part of the region's diagonal.
 const LONGEST: f64 = 0.1;
 /// An error at its place in the base frame, m.
@@ -22,21 +27,50 @@ struct Arrow {
     error: Vector3<f64>,
 }
 
-/// The errors of a mode over all sets in three views, and how much longer than life their arrows are. `None` without a finite error.
-pub(super) fn arrows(outcome: &Outcome, mode: &ModeOutcome) -> Result<Option<(String, f64)>, ReportError> {
-    let arrows = arrows_of(outcome, mode);
+/// The errors of a mode over all sets in three views.
+pub(super) struct Arrows {
+    pub figure: String,
+    /// How much longer than life they are drawn.
+    pub scale: f64,
+    /// How many there are.
+    pub drawn: usize,
+}
+
+/// `None` without a finite error.
+pub(super) fn arrows(outcome: &Outcome, mode: &ModeOutcome) -> Result<Option<Arrows>, ReportError> {
+    let arrows = largest_by_cell(arrows_of(outcome, mode));
     let Some(scale) = scale(&arrows) else { return Ok(None) };
     let label =
         format!("Errors of {} over the working region in three views, {scale} times", mode.mode.title());
-    let figure = svg("errors over the region", &label, (WIDTH, TITLE + PANEL), |area| {
-        for (panel, (title, across, up)) in area.split_evenly((1, 3)).iter().zip(VIEWS) {
-            let (head, plot) = panel.split_vertically(px(TITLE));
-            centred(&head, &format!("{title}, m"))?;
-            view(&plot, mode, &arrows, (across, up), scale)?;
-        }
-        Ok(())
+    let figure = svg("errors over the region", &label, (WIDTH, HEIGHT), |area| {
+        three_views(area, |panel, axes| view(panel, mode, &arrows, axes, scale))
     })?;
-    Ok(Some((figure, scale)))
+    Ok(Some(Arrows { figure, scale, drawn: arrows.len() }))
+}
+
+/// Of many arrows the longest in every cell of the region, so that the largest error is always among them.
+fn largest_by_cell(arrows: Vec<Arrow>) -> Vec<Arrow> {
+    if arrows.len() <= MANY {
+        return arrows;
+    }
+    let (low, high) = corners(&arrows);
+    let mut cells: BTreeMap<[usize; 3], Arrow> = BTreeMap::new();
+    for arrow in arrows {
+        let cell = [0, 1, 2].map(|axis| {
+            let share = (arrow.from[axis] - low[axis]) / (high[axis] - low[axis]).max(1e-9);
+            (1..CELLS).filter(|edge| share * CELLS as f64 >= *edge as f64).count()
+        });
+        let longest = cells.entry(cell).or_insert(arrow);
+        if arrow.error.norm() > longest.error.norm() {
+            *longest = arrow;
+        }
+    }
+    cells.into_values().collect()
+}
+
+fn corners(arrows: &[Arrow]) -> (Vector3<f64>, Vector3<f64>) {
+    let [low, high] = [f64::INFINITY, f64::NEG_INFINITY].map(Vector3::repeat);
+    arrows.iter().fold((low, high), |(low, high), a| (low.inf(&a.from), high.sup(&a.from)))
 }
 
 fn arrows_of(outcome: &Outcome, mode: &ModeOutcome) -> Vec<Arrow> {
@@ -56,12 +90,8 @@ fn arrows_of(outcome: &Outcome, mode: &ModeOutcome) -> Vec<Arrow> {
 /// 1, 2 or 5 times a power of ten, so that the longest arrow stays below its part of the region.
 fn scale(arrows: &[Arrow]) -> Option<f64> {
     let most = arrows.iter().map(|a| a.error.norm()).filter(|n| *n > 0.0).reduce(f64::max)?;
-    let low = arrows.iter().fold(Vector3::repeat(f64::INFINITY), |low, a| low.inf(&a.from));
-    let high = arrows.iter().fold(Vector3::repeat(f64::NEG_INFINITY), |high, a| high.sup(&a.from));
-    let wanted = LONGEST * (high - low).norm().max(1e-3) / most;
-    let decade = 10_f64.powf(wanted.log10().floor());
-    let step = [5.0, 2.0, 1.0].into_iter().find(|step| step * decade <= wanted).unwrap_or(1.0);
-    Some(step * decade).filter(|scale| scale.is_finite())
+    let (low, high) = corners(arrows);
+    round_below(LONGEST * (high - low).norm().max(1e-3) / most)
 }
 
 fn view(
@@ -105,7 +135,7 @@ pub(super) fn session_facts(outcome: &Outcome) -> Markup {
                 @if spherical > 0 { "range and angles" } @else { "positions" }
                 @match outcome.sets.first().map(nests) {
                     Some(count) if count > 0 => { ", " (count) " base nests" },
-                    _ => ", base not measured",
+                    _ => ", no base nests",
                 }
             }
         }
@@ -132,7 +162,7 @@ pub(super) fn session_facts(outcome: &Outcome) -> Markup {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::sample;
+    use crate::report::tests::sample;
 
     #[test]
     fn arrows_lead_from_the_predicted_towards_the_measured_point() {
@@ -162,7 +192,7 @@ mod tests {
     fn every_mode_has_its_figure() {
         let outcome = sample::simulated();
         for mode in &outcome.modes {
-            let (figure, scale) = arrows(&outcome, mode).expect("drawn").expect("errors");
+            let Arrows { figure, scale, .. } = arrows(&outcome, mode).expect("drawn").expect("errors");
             assert!(figure.contains(&format!("{scale} times")) && figure.contains("<polyline"), "{scale}");
         }
         let facts = session_facts(&outcome).into_string();

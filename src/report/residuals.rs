@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::json::finite;
+use super::document::finite;
 use crate::pipeline::{Judgement, ModeOutcome, ObservationResidual, Outcome, SetOutcome};
 
 /// Name of the file.

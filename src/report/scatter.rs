@@ -6,9 +6,8 @@ use maud::{Markup, html};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::json::finite;
-use super::summary::significant;
-use super::{counted, set_title};
+use super::document::{axes, finite};
+use super::words::{counted, percent, set_title, significant};
 use crate::pipeline::{Judgement, Outcome, SetKind};
 use calibrig_estimation::evaluation::{RepeatScatter, ScatterComparison};
 
@@ -56,10 +55,6 @@ pub struct JsonRepeatScatter {
     pub band: [Option<f64>; 2],
 }
 
-fn axes(v: Vector3<f64>) -> [Option<f64>; 3] {
-    [finite(v.x), finite(v.y), finite(v.z)]
-}
-
 fn json_scatter(scatter: &ScatterComparison) -> JsonScatter {
     JsonScatter {
         readings: scatter.readings,
@@ -83,18 +78,6 @@ pub(super) fn json_scatters(outcome: &Outcome, judgement: &Judgement) -> BTreeMa
     let sets = outcome.sets.iter().zip(&judgement.scatter);
     sets.filter_map(|(set, scatter)| Some((set.kind.key().to_owned(), json_scatter(scatter.as_ref()?))))
         .collect()
-}
-
-/// A part of a whole in per cent, with a decimal where it is small.
-pub(super) fn percent(share: f64) -> String {
-    let percent = 1e2 * share.clamp(0.0, 1.0);
-    if percent >= 9.95 || percent == 0.0 {
-        format!("{percent:.0} %")
-    } else if percent >= 0.1 {
-        format!("{percent:.1} %")
-    } else {
-        "less than 0.1 %".to_owned()
-    }
 }
 
 /// Three lengths in µm.
@@ -172,8 +155,8 @@ pub(super) fn scatter_section(outcome: &Outcome) -> Markup {
         section #scatter {
             h2 { "Stated and seen scatter" }
             p {
-                "RMS along the beam (range), and across it along azimuth and elevation, as lengths at the target in \u{b5}m: what readings state of their own noise, what repeats of a "
-                "pose show, and what is left of the measurements by each model. What repeats show beyond what is stated is the machine's own scatter, or that of a tracker worse than stated; what residuals show beyond repeats is what the model lacks."
+                "Three RMS lengths at the target, in \u{b5}m: along the beam (range), and across it in azimuth and in elevation. The table compares the noise that readings state, the scatter that repeats of a "
+                "pose show, and the residuals of each model. Repeats above the stated noise mean that the machine scatters or that the tracker is worse than stated. Residuals above the repeats mean that the model lacks something."
             }
             @for (index, set) in outcome.sets.iter().enumerate() {
                 @let of_set = |judgement: &Judgement| judgement.scatter.get(index).copied().flatten();
@@ -208,7 +191,7 @@ pub(super) fn scatter_section(outcome: &Outcome) -> Markup {
                     @if let Some(words) = outcome.judgements.iter().rev().find_map(of_set).and_then(|scatter| sentence(&scatter)) {
                         p { @if let Some(last) = outcome.judgements.last() { "\u{201c}" (last.mode.title()) "\u{201d}: " } (words) "." }
                     }
-                    @if first.stated.is_none() { p.note { "The readings state no noise: there is nothing to compare it with." } }
+                    @if first.stated.is_none() { p.note { "The readings state no noise to compare with. State it, and this table says whether tracker or model limits the accuracy." } }
                 }
             }
         }

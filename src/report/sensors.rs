@@ -1,20 +1,15 @@
 //! One point, three points and full poses at the same poses: a short table on the terminal, a table and a figure on the page, and in JSON.
 
 use maud::{Markup, PreEscaped, html};
-use plotters::prelude::*;
-use plotters::style::text_anchor::{HPos, Pos, VPos};
 use serde::{Deserialize, Serialize};
 
-use super::ReportError;
-use super::html::{key, number};
-use super::json::finite;
-use super::parameters::printed_unit;
-use super::plots::{
-    GRID, LOOKS, Look, WIDTH, drawable, ink, marker, one_two_five, px, svg, text_style, vertical_ticks,
-};
-use super::set_title;
-use super::summary::significant;
-use super::tables::{Ink, Style, TITLE, wrap};
+use super::document::finite;
+use super::files::ReportError;
+use super::markup::key;
+use super::plots::{LOOKS, Look, drawable};
+use super::rows::{Dot, Panel, dots};
+use super::terminal::{Ink, Style, TITLE, wrap};
+use super::words::{number, printed_unit, set_title, significant};
 use crate::pipeline::{Outcome, SensorProspect, SensorStudy};
 use calibrig_model::ParameterId;
 
@@ -117,8 +112,8 @@ fn heading(prospect: &SensorProspect) -> [&'static str; 2] {
 
 fn explanation(study: &SensorStudy) -> String {
     format!(
-        "What kinds of targets tell at the same poses, with the same noise: \u{201c}{}\u{201d}, by linearisation at its estimate. A target \
-         that was not there is taken to be read and stated as well as the first, 120 mm from it. Place and angle: RMS uncertainty of the \
+        "What one point, three points or a full pose would tell at the same poses and with the same noise, for \u{201c}{}\u{201d} (linearised at its estimate). \
+         Targets that were not there are assumed 120 mm from the first and read as well as it. Place and angle are the RMS standard deviation (68 %) of the \
          predicted robot at the poses of the {} set, without what the machine does beside its model.",
         study.mode.title(),
         study.predicted.key()
@@ -186,7 +181,7 @@ fn look_of(place: usize) -> Look {
 pub(super) fn sensor_section(outcome: &Outcome) -> Result<Markup, ReportError> {
     let Some(study) = &outcome.sensors else { return Ok(html! {}) };
     let telling = telling(study);
-    let plot = if telling.is_empty() { None } else { Some(drawn(study, &telling)?) };
+    let plot = if telling.is_empty() { None } else { Some(drawn(&telling)?) };
     let open: Vec<_> = study.sensors.iter().filter(|prospect| !prospect.open.is_empty()).collect();
     let columns: Vec<_> = study.sensors.iter().map(cells).collect();
     let row = |(row, title): (usize, &&str)| {
@@ -206,7 +201,7 @@ pub(super) fn sensor_section(outcome: &Outcome) -> Result<Markup, ReportError> {
             p { (explanation(study)) }
             (table(study, &caption, &told))
             @for prospect in open {
-                p.note { "Not told by " (prospect.sensor.title()) ": " (prospect.open.join("; ")) "." }
+                p.note { "Not identifiable with " (prospect.sensor.title()) ": " (prospect.open.join("; ")) "." }
             }
             @if let Some(plot) = &plot {
                 figure {
@@ -217,14 +212,14 @@ pub(super) fn sensor_section(outcome: &Outcome) -> Result<Markup, ReportError> {
                     }
                     div.scroll { (PreEscaped(plot)) }
                     figcaption {
-                        "Standard deviations of parameters over the smallest of the kinds of targets, logarithmic; the "
-                        (telling.len()) " that differ most. Further left is better."
+                        "Standard deviations of parameters, as multiples of the smallest among the kinds of targets, for the "
+                        (telling.len()) " parameters that differ most. Further left is better."
                     }
                 }
                 (table(study, "The same standard deviations", &sigmas))
                 p.note { "All parameters are in report.json, under \u{201c}sensors\u{201d}." }
             } @else {
-                p.note { "No parameter of the robot is told better by one than by another." }
+                p.note { "No parameter of the robot is identified better with one kind of target than with another." }
             }
         }
     })
@@ -255,42 +250,16 @@ fn table(study: &SensorStudy, caption: &str, rows: &[(String, Vec<String>)]) -> 
 }
 
 /// A row a parameter, a marker a kind of target.
-fn drawn(study: &SensorStudy, rows: &[(ParameterId, Vec<Option<f64>>)]) -> Result<String, ReportError> {
-    const NAMES: i32 = 148;
-    const ROW: i32 = 22;
-    const AXIS: i32 = 26;
-    let least = |sigmas: &[Option<f64>]| sigmas.iter().flatten().copied().fold(f64::INFINITY, f64::min);
-    let ratio = |sigmas: &[Option<f64>], sigma: f64| (sigma / least(sigmas)).min(FARTHEST);
-    let worst = |sigmas: &[Option<f64>]| sigmas.iter().flatten().copied().fold(0.0, f64::max);
-    let most = rows.iter().map(|(_, sigmas)| ratio(sigmas, worst(sigmas))).fold(1.0, f64::max);
-    let ticks = one_two_five(1.0, 1.02 * most);
-    let height = ROW * i32::try_from(rows.len()).unwrap_or(1) + 8;
-    svg("what the target tells", "Standard deviations by kind of target", (WIDTH, height + AXIS), |area| {
-        let (names, body) = area.split_horizontally(px(NAMES));
-        let bottom = rows.len() as f64 - 0.5;
-        let end = ticks.last().copied().unwrap_or(2.0).log10();
-        let chart = ChartBuilder::on(&body)
-            .margin_left(px(8))
-            .margin_right(px(14))
-            .x_label_area_size(px(AXIS))
-            .build_cartesian_2d(-0.02 * end..1.02 * end, bottom..-0.5)?;
-        vertical_ticks(&body, &chart, &ticks, &(bottom..-0.5))?;
-        let plot = chart.plotting_area();
-        plot.draw(&PathElement::new(vec![(0.0, bottom), (0.0, -0.5)], ink(2)))?;
-        for (row, (id, sigmas)) in rows.iter().enumerate() {
-            let y = row as f64;
-            let (_, at) = plot.map_coordinate(&(0.0, y));
-            let style = text_style().pos(Pos::new(HPos::Right, VPos::Center));
-            names.draw(&Text::new(id.to_string(), (px(NAMES - 4), at), style))?;
-            let line = vec![(0.0, y), (end, y)];
-            plot.draw(&PathElement::new(line, GRID.mix(0.5).stroke_width(1)))?;
-            for (place, sigma) in sigmas.iter().enumerate().take(study.sensors.len()) {
-                let Some(sigma) = sigma else { continue };
-                // Beside each other where they tell the same.
-                let y = y + 0.24 * (place as f64 - 0.5 * (sigmas.len() as f64 - 1.0));
-                plot.draw(&marker(&look_of(place), (ratio(sigmas, *sigma).log10(), y), 7))?;
-            }
-        }
-        Ok(())
-    })
+fn drawn(rows: &[(ParameterId, Vec<Option<f64>>)]) -> Result<String, ReportError> {
+    let names: Vec<_> = rows.iter().map(|(id, _)| id.to_string()).collect();
+    let row = |(_, sigmas): &(ParameterId, Vec<Option<f64>>)| {
+        let least = sigmas.iter().flatten().copied().fold(f64::INFINITY, f64::min);
+        let dot = |(place, sigma): (usize, &Option<f64>)| {
+            Some(Dot::at(look_of(place), ((*sigma)? / least).min(FARTHEST)))
+        };
+        sigmas.iter().enumerate().filter_map(dot).collect()
+    };
+    let title = "standard deviation over the smallest";
+    let panel = Panel { far: TELLING, ..Panel::of(title, 1.0, rows.iter().map(row).collect()) };
+    dots("what the target tells", "Standard deviations by kind of target", &names, &[panel])
 }

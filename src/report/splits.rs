@@ -5,16 +5,15 @@ use std::fmt::Write;
 use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
 
-use super::counted;
-use super::html::number;
-use super::json::finite;
-use super::tables::{Ink, Style, TITLE, millimetres, wrap};
+use super::document::finite;
+use super::terminal::{Ink, Style, TITLE, millimetres, wrap};
+use super::words::{counted, number};
 use crate::pipeline::{SplitMode, SplitStudy};
 use calibrig_estimation::evaluation::Interval;
 
-const EXPLANATION: &str = "RMS of the 3-D error of the held-out poses, mean and range over the splits, mm. Gain: by how much the mean is \
-                           smaller than in the row above, on the same splits, with the 95 % interval of Nadeau and Bengio, \
-                           which allows for splits that share poses.";
+const EXPLANATION: &str = "The poses are divided at random again and again; each time some are fitted and the others held out. The table has the RMS of the 3-D error \
+                           of the held-out poses in mm: its mean, least and largest over the splits. Gain: how much smaller the mean is than in the row above, with \
+                           the 95 % interval of the mean gain after Nadeau and Bengio, which allows for splits that share poses.";
 
 /// Repeated random splits of the identification set.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -172,7 +171,8 @@ pub(super) fn split_section(study: &SplitStudy) -> Markup {
 mod tests {
     use super::*;
     use crate::pipeline::SplitPlan;
-    use crate::report::{html_report, json_text, render_tables, sample};
+    use crate::report::tests::sample;
+    use crate::report::{html_report, json_text, render_tables};
     use calibrig_estimation::identification::Mode;
 
     #[test]

@@ -2,10 +2,14 @@
 
 use nalgebra::Vector3;
 
-use super::parameters::{fitted, parameter_rows, printed_unit, truth_of, unfitted_deviations};
-use super::{consistency_ratio, counted, published};
+use super::accuracy::row;
+use super::accuracy::{judged_set, published};
+use super::parameters::{fitted, parameter_rows, truth_of, unfitted_deviations};
+use super::words::{
+    capital, consistency_ratio, counted, factor_words, length_words, printed_unit, signed_percent,
+    significant,
+};
 use crate::pipeline::{ModeOutcome, Outcome, SetKind};
-use calibrig_estimation::evaluation::AccuracyRow;
 use calibrig_estimation::identification::{Estimate, Mode, NoiseScale, ParameterEstimate};
 use calibrig_model::statistics::NORMAL_95;
 
@@ -16,61 +20,6 @@ const AXES: [&str; 3] = ["x", "y", "z"];
 pub(super) struct Summary {
     pub improved: Vec<String>,
     pub remains: Vec<String>,
-}
-
-/// The set that a run is judged by: the held-out one where there is one.
-pub(super) fn judged_set(outcome: &Outcome) -> Option<usize> {
-    let measured =
-        |kind| outcome.sets.iter().position(|s| s.kind == kind && !s.measurements.observations.is_empty());
-    measured(SetKind::Verification).or_else(|| measured(SetKind::Identification))
-}
-
-pub(super) fn row(mode: &ModeOutcome, set: usize) -> Option<AccuracyRow> {
-    mode.rows.get(set).copied().flatten()
-}
-
-/// A length with three significant digits in mm, at most three decimals; in µm below 0.01 mm.
-pub(super) fn length_words(metres: f64) -> String {
-    if !metres.is_finite() {
-        return "unknown".to_owned();
-    }
-    let (value, unit) = if metres.abs() < 1e-5 { (1e6 * metres, "µm") } else { (1e3 * metres, "mm") };
-    // The unit stays on the line of its number.
-    format!("{}\u{a0}{unit}", significant(value))
-}
-
-/// Three significant digits, at most three decimals.
-pub(super) fn significant(value: f64) -> String {
-    if !value.is_finite() {
-        return "unknown".to_owned();
-    }
-    if value.abs() >= 1e6 {
-        return format!("{value:.2e}");
-    }
-    let decimals = if value.abs() >= 99.95 {
-        0
-    } else if value.abs() >= 9.995 {
-        1
-    } else if value.abs() >= 0.9995 {
-        2
-    } else {
-        3
-    };
-    format!("{value:.decimals$}").replace('-', "\u{2212}")
-}
-
-/// "9.4 times less than `reference`", "1.3 times more than ...", "as much as ...".
-pub(super) fn factor_words(before: f64, after: f64, reference: &str) -> String {
-    let factor = before / after;
-    if !factor.is_finite() || factor <= 0.0 {
-        format!("not comparable with {reference}")
-    } else if factor >= 1.005 {
-        format!("{} times less than {reference}", significant(factor))
-    } else if factor <= 0.995 {
-        format!("{} times more than {reference}", significant(1.0 / factor))
-    } else {
-        format!("as much as {reference}")
-    }
 }
 
 /// The sentences of a run.
@@ -122,7 +71,7 @@ fn improvement(outcome: &Outcome, set: usize, say: &mut Vec<String>) {
     if let (Some(geometry), Some(gravity)) = (find(Mode::OnlyCalibration), find(Mode::WithGravity)) {
         let change = |axis: usize| signed_percent(gravity.mean[axis] / geometry.mean[axis] - 1.0);
         say.push(format!(
-            "Considering gravity changes the mean error by {} in x, {} in y and {} in z against only calibration.",
+            "With gravity the mean error changes by {} in x, {} in y and {} in z, compared with only calibration.",
             change(0),
             change(1),
             change(2)
@@ -182,7 +131,7 @@ fn remaining(outcome: &Outcome, mode: &ModeOutcome, set: usize, say: &mut Vec<St
             "the fit carries over to poses it has not seen"
         };
         say.push(format!(
-            "The RMS over held-out poses is {} against the fitted ones: {comment}.",
+            "The RMS over held-out poses differs by {} from that over the fitted ones: {comment}.",
             signed_percent(change)
         ));
     }
@@ -201,7 +150,7 @@ fn consistency(mode: &ModeOutcome, say: &mut Vec<String>) {
     let Some(estimate) = &mode.estimate else { return };
     if let NoiseScale::Residuals(sigma) = estimate.noise {
         say.push(format!(
-            "The readings state no uncertainty: standard deviations are scaled to the residuals, {} a coordinate, and cannot tell noise from what the model lacks.",
+            "The readings state no uncertainty: standard deviations are scaled to the residuals ({} in each coordinate), which cannot tell noise from what the model lacks. State the noise of the tracker.",
             length_words(sigma)
         ));
     }
@@ -210,12 +159,12 @@ fn consistency(mode: &ModeOutcome, say: &mut Vec<String>) {
     let tolerance = 3.0 / (2.0 * estimate.degrees_of_freedom).sqrt();
     say.push(if ratio > 1.0 + tolerance {
         format!(
-            "The residuals are {} times what the stated noise explains: the rest is what the model lacks. Where it was estimated, as errors of single poses, the standard deviations include it.",
+            "The residuals are {} times what the stated noise explains: the rest is what the model lacks. Where that was estimated, the standard deviations include it. The section on the residual names what it depends on.",
             significant(ratio)
         )
     } else if ratio < 1.0 - tolerance {
         format!(
-            "The residuals are only {} times what the fit allowed for: the stated noise, or the allowance for what the model leaves out, is too large, and so are the standard deviations.",
+            "The residuals are only {} times what the fit allowed for: the stated noise, or the allowance for what the model lacks, is too large, and so are the standard deviations. State less.",
             significant(ratio)
         )
     } else {
@@ -240,8 +189,8 @@ fn errors_over_bound(outcome: &Outcome, estimate: &Estimate) -> Option<String> {
     let ratios = ratios.filter(|ratios| !ratios.is_empty())?;
     let rms = (ratios.iter().map(|r| r * r).sum::<f64>() / ratios.len() as f64).sqrt();
     Some(format!(
-        "Its errors are {} times {name} at the truth (RMS): what the readings' noise alone leaves to the best estimator of a machine that the \
-         model contains.",
+        "Its errors are {} times {name} at the truth (RMS). The bound is what the noise of the readings leaves even to the best estimator, if the model is \
+         complete.",
         significant(rms)
     ))
 }
@@ -259,7 +208,7 @@ fn parameters_against_truth(outcome: &Outcome, say: &mut Vec<String>) {
         let within = ratios.iter().filter(|r| r.abs() <= NORMAL_95).count();
         let rms = (ratios.iter().map(|r| r * r).sum::<f64>() / ratios.len() as f64).sqrt();
         say.push(format!(
-            "With {}, the true value lies in the 95 % interval of {within} of {}; {:.0} would be expected if the model were complete (RMS of error over sigma {}).",
+            "With {}, the 95 % intervals of single parameters hold the true value for {within} of {}; {:.0} would be expected of a complete model (RMS of error over sigma {}).",
             mode.title(),
             counted(ratios.len(), "parameter"),
             0.95 * ratios.len() as f64,
@@ -280,23 +229,10 @@ fn parameters_against_truth(outcome: &Outcome, say: &mut Vec<String>) {
     }
 }
 
-fn signed_percent(share: f64) -> String {
-    if share.is_finite() {
-        format!("{:+.0}\u{a0}%", 100.0 * share).replace('-', "\u{2212}")
-    } else {
-        "an unknown amount".to_owned()
-    }
-}
-
-fn capital(text: &str) -> String {
-    let mut letters = text.chars();
-    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::sample;
+    use crate::report::tests::sample;
 
     #[test]
     fn lengths_and_factors_read_well() {

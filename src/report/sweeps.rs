@@ -5,7 +5,7 @@ use std::fmt::Write;
 use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
 
-use super::counted;
+use super::words::counted;
 use crate::pipeline::{Outcome, swept_stations};
 use calibrig_estimation::circle_points::{SweptAxis, SweptStation};
 use calibrig_model::JointKind;
@@ -117,17 +117,13 @@ fn of_station(swept: &SweptStation) -> Vec<String> {
     match swept.open {
         0 => {}
         1 => lines
-            .push("the height along the turning axis is that of the nominal target, within 0.1 m".to_owned()),
+            .push("the height along the turning axis is taken from the nominal target (within 0.1 m): measure base nests to know it better".to_owned()),
         _ => lines
-            .push("sliding axes tell no place: it is that of the nominal target, within 0.1 m".to_owned()),
+            .push("sliding axes do not tell where the tracker is: its place is taken from the nominal target (within 0.1 m); sweep a turning axis or measure base nests".to_owned()),
     }
     for axis in swept.axes.iter().filter(|axis| !axis.gross.is_empty()) {
         let gross: Vec<_> = axis.gross.iter().map(u32::to_string).collect();
-        lines.push(format!(
-            "sweep of {}: gross errors were left out, reading {}",
-            axis.name,
-            gross.join(", ")
-        ));
+        lines.push(format!("sweep of {}: left out as gross errors: reading {}", axis.name, gross.join(", ")));
     }
     lines
 }
@@ -138,7 +134,7 @@ fn stand_words(swept: &SweptStation) -> String {
         format!("{x:.digits$}, {y:.digits$}, {z:.digits$}")
     };
     format!(
-        "they put the tracker at {} mm of the base, within {} mm and {} urad by their scatter (one sigma), if the axes are where the nominal robot has them",
+        "they place the tracker at {} mm in the base frame, with a standard deviation of {} mm and {} urad from their scatter, if the axes are where the nominal robot has them",
         three(swept.stand[0], 1e3, 1),
         three(swept.stand[1], 1e3, 3),
         three(swept.turn, 1e6, 1)

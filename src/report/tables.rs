@@ -1,212 +1,46 @@
 //! The report on the terminal: the published tables, with what ours says and what the publication says one below the other.
 
-use std::fmt::Write;
-
 use super::ablation::ablation_lines;
 use super::acceptance_bounds::acceptance_lines;
+use super::accuracy::table;
 use super::closed_loop::closed_loop_lines;
 use super::drift::{drift_words, missing_words};
 use super::judgement::judgement_lines;
+use super::parameter_section::parameter_lines;
 use super::sensors::sensor_lines;
 use super::splits::split_lines;
 use super::sweeps::sweep_words;
-use super::{
-    ErrorRow, condition_words, consistency_ratio, counted, left_out_words, payload_words, pose_words,
-    published, set_title,
-};
-use crate::pipeline::{ModeOutcome, Outcome, SetOutcome};
-use calibrig_estimation::evaluation::AccuracyRow;
+use super::terminal::{Ink, Style, millimetres, wrap};
+use super::words::{condition_words, consistency_ratio, counted, left_out_words, printable};
+use crate::pipeline::Outcome;
 use calibrig_estimation::identification::{Assumption, Estimate, NoiseScale, Warning};
-
-/// Whether escape sequences may be used. The caller decides, from the terminal and `NO_COLOR`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Style {
-    /// Text alone: for files, pipes and `NO_COLOR`.
-    #[default]
-    Plain,
-    /// ANSI escape sequences.
-    Colour,
-}
-
-#[derive(Debug, Clone, Copy)]
-pub(super) enum Ink {
-    Heading,
-    Dim,
-    Good,
-    Warning,
-}
-
-impl Style {
-    pub(super) fn paint(self, ink: Ink, text: &str) -> String {
-        let code = match ink {
-            Ink::Heading => "1",
-            Ink::Dim => "2",
-            Ink::Good => "32",
-            Ink::Warning => "33",
-        };
-        match self {
-            Self::Plain => text.to_owned(),
-            Self::Colour => format!("\x1b[{code}m{text}\x1b[0m"),
-        }
-    }
-}
-
-/// Columns of a table: as wide as a plain terminal with some room.
-const WIDTH: usize = 100;
-pub(super) const TITLE: usize = 34;
-pub(super) const NUMBER: usize = 8;
-const COLUMNS: [&str; 8] = ["max x", "mean x", "max y", "mean y", "max z", "mean z", "RMS 3D", "max 3D"];
 
 /// The tables of a run in mm, the published figures below each row, and how every estimate ended. At most 100 columns wide.
 pub fn render_tables(outcome: &Outcome, style: Style) -> String {
-    let mut text = String::new();
-    let mut line = |line: &str| {
-        text.push_str(line);
-        text.push('\n');
-    };
+    let mut lines = Vec::new();
     for (index, set) in outcome.sets.iter().enumerate() {
-        for row in table(outcome, index, set, style) {
-            line(&row);
-        }
-        for row in acceptance_lines(outcome, index, style) {
-            line(&row);
-        }
-        line("");
+        lines.extend(table(outcome, index, set, style));
+        lines.extend(acceptance_lines(outcome, index, style));
+        lines.push(String::new());
     }
-    for row in outcome.closed_loop.iter().flat_map(|driven| closed_loop_lines(outcome, driven, style)) {
-        line(&row);
-    }
+    lines.extend(outcome.closed_loop.iter().flat_map(|driven| closed_loop_lines(outcome, driven, style)));
     let drift = outcome.drift.iter().flat_map(drift_words);
-    for drift in sweep_words(outcome).into_iter().chain(drift).chain(missing_words(outcome)) {
-        for l in &wrap(&drift, "    ") {
-            line(l);
-        }
-    }
+    let drift = sweep_words(outcome).into_iter().chain(drift).chain(missing_words(outcome));
+    lines.extend(drift.flat_map(|words| wrap(&words, "    ")));
+    lines.extend(parameter_lines(outcome, style));
     for mode in &outcome.modes {
-        line(&style.paint(Ink::Heading, mode.mode.title()));
-        match &mode.estimate {
-            Some(estimate) => state(estimate, style).iter().for_each(|l| line(l)),
-            None => wrap(&registration_words(outcome), "    ").iter().for_each(|l| line(l)),
-        }
-        for l in &judgement_lines(outcome, mode.mode, style) {
-            line(l);
-        }
+        lines.push(style.paint(Ink::Heading, mode.mode.title()));
+        lines.extend(match &mode.estimate {
+            Some(estimate) => state(estimate, style),
+            None => wrap(&registration_words(outcome), "    "),
+        });
+        lines.extend(judgement_lines(outcome, mode.mode, style));
     }
-    if let Some(ablation) = &outcome.ablation {
-        for l in &ablation_lines(ablation, style) {
-            line(l);
-        }
-    }
-    if let Some(study) = &outcome.splits {
-        for l in &split_lines(study, style) {
-            line(l);
-        }
-    }
-    if let Some(study) = &outcome.sensors {
-        for l in &sensor_lines(study, style) {
-            line(l);
-        }
-    }
-    text
-}
-
-fn table(outcome: &Outcome, index: usize, set: &SetOutcome, style: Style) -> Vec<String> {
-    let mut lines = vec![style.paint(
-        Ink::Heading,
-        &format!("{}, {}: absolute errors in mm", set_title(set.kind), pose_words(set)),
-    )];
-    let of_mode = |mode: &ModeOutcome| {
-        Some(ErrorRow {
-            mode: mode.mode,
-            title: mode.mode.title(),
-            row: mode.rows.get(index).copied().flatten()?,
-            published: published(outcome, set.kind, mode.mode),
-            published_as: "  published",
-        })
-    };
-    lines.extend(error_lines(outcome.modes.iter().filter_map(of_mode), style));
-    lines.extend(orientation_lines(outcome, index, style));
-    if let Some(carried) = payload_words(set) {
-        lines.extend(wrap(&printable(&format!("the flange carried {carried}")), "    "));
-    }
-    if let Some(repeats) = set.measurements.repeats() {
-        let words = format!(
-            "repeats of {} scatter by {} mm (RMS 3D of a reading about the mean of its pose, {} more): no model leaves less on single readings",
-            counted(repeats.poses, "pose"),
-            millimetres(repeats.rms_3d),
-            counted(repeats.repeats, "reading")
-        );
-        lines.extend(wrap(&words, "    "));
-    }
-    if !set.dropped.is_empty() {
-        let poses: Vec<_> =
-            set.dropped.iter().map(|(pose, why)| format!("{pose} ({})", printable(why))).collect();
-        let words = format!("{} not measured: {}", counted(set.dropped.len(), "pose"), poses.join(", "));
-        lines.extend(wrap(&words, "    ").iter().map(|l| style.paint(Ink::Warning, l)));
-    }
-    lines
-}
-
-/// A table of errors in mm, between rules.
-pub(super) fn error_lines<'a>(rows: impl Iterator<Item = ErrorRow<'a>>, style: Style) -> Vec<String> {
-    let header = aligned("", &COLUMNS.map(str::to_owned));
-    let rule = style.paint(Ink::Dim, &"\u{2500}".repeat(header.len()));
-    let mut lines = vec![header, rule.clone()];
-    for own in rows {
-        lines.push(aligned(own.title, &row_values(&own.row).map(millimetres)));
-        if let Some(figures) = own.published {
-            let numbers = figures.map(as_published);
-            lines.push(style.paint(Ink::Dim, aligned(own.published_as, &numbers).trim_end()));
-        }
-    }
-    lines.push(rule);
-    lines
-}
-
-/// Orientation errors of a set, where any were measured.
-fn orientation_lines(outcome: &Outcome, index: usize, style: Style) -> Vec<String> {
-    let rows = outcome.modes.iter().filter_map(|mode| Some((mode.mode, mode.orientation_row(index)?)));
-    let mut lines: Vec<String> =
-        rows.map(|(mode, row)| aligned(mode.title(), &[row.rms, row.max].map(millimetres))).collect();
-    if let Some(row) = outcome.modes.iter().find_map(|mode| mode.orientation_row(index)) {
-        let title = format!("angle to the measured orientation of {}, mrad", counted(row.count, "reading"));
-        lines.insert(0, style.paint(Ink::Dim, &aligned("", &["RMS", "max"].map(str::to_owned))));
-        lines.insert(0, title);
-    }
-    lines
-}
-
-/// Maximum and mean by axis, then RMS and maximum of the 3-D error, m.
-fn row_values(row: &AccuracyRow) -> [f64; 8] {
-    [row.max.x, row.mean.x, row.max.y, row.mean.y, row.max.z, row.mean.z, row.rms_3d, row.max_3d]
-}
-
-pub(super) fn aligned(title: &str, numbers: &[String]) -> String {
-    let mut line = format!("{title:<TITLE$}");
-    for number in numbers {
-        let _ = write!(line, "{number:>NUMBER$}");
-    }
-    line
-}
-
-/// Millimetres to the micrometre; large numbers, which only a failed fit has, in fewer digits.
-pub(super) fn millimetres(metres: f64) -> String {
-    let mm = 1e3 * metres;
-    if mm.abs() >= 1e6 {
-        format!("{mm:.0e}")
-    } else if mm.abs() >= 999.9995 {
-        format!("{mm:.0}")
-    } else {
-        format!("{mm:.3}")
-    }
-}
-
-/// Millimetres without the digits that were not published, aligned on the point.
-fn as_published(metres: f64) -> String {
-    let text = millimetres(metres);
-    let Some(point) = text.find('.') else { return text };
-    let kept = text.trim_end_matches('0').len().max(point + 2);
-    format!("{:<width$}", &text[..kept], width = text.len())
+    lines.extend(outcome.ablation.iter().flat_map(|ablation| ablation_lines(ablation, style)));
+    lines.extend(outcome.splits.iter().flat_map(|study| split_lines(study, style)));
+    lines.extend(outcome.sensors.iter().flat_map(|study| sensor_lines(study, style)));
+    lines.push(String::new());
+    lines.join("\n")
 }
 
 fn registration_words(outcome: &Outcome) -> String {
@@ -223,7 +57,7 @@ fn registration_words(outcome: &Outcome) -> String {
 fn state(estimate: &Estimate, style: Style) -> Vec<String> {
     let mut lines = Vec::new();
     let mut say = |ink, words: &str, indent: &str| {
-        lines.extend(wrap(words, indent).iter().map(|l| style.paint(ink, l)));
+        lines.extend(style.told(ink, words, indent));
     };
     let words = format!(
         "  {} after {} ({})",
@@ -262,8 +96,9 @@ fn state(estimate: &Estimate, style: Style) -> Vec<String> {
     }
     if let Some(freedom) = estimate.interval_freedom.filter(|freedom| freedom.is_finite()) {
         let factor = estimate.interval_factor(0.95);
-        let words =
-            format!("  95 % intervals: +- {factor:.2} sigma ({freedom:.1} degrees of freedom of the noise)");
+        let words = format!(
+            "  95 % interval of a parameter: +- {factor:.2} sigma ({freedom:.1} degrees of freedom of the noise)"
+        );
         say(Ink::Dim, &words, "    ");
     }
     for words in left_out_words(estimate) {
@@ -275,36 +110,11 @@ fn state(estimate: &Estimate, style: Style) -> Vec<String> {
     lines
 }
 
-/// Control characters from names in files must not reach the terminal.
-pub(super) fn printable(text: &str) -> String {
-    text.chars().map(|c| if c.is_control() { '\u{fffd}' } else { c }).collect()
-}
-
-/// Breaks `text` at spaces into lines of at most [`WIDTH`] columns, the later ones behind `indent`. Longer words stand alone.
-pub(super) fn wrap(text: &str, indent: &str) -> Vec<String> {
-    let start = text.len() - text.trim_start().len();
-    let mut lines = Vec::new();
-    let mut line = text[..start].to_owned();
-    let mut empty = true;
-    for word in text.split_whitespace() {
-        if !empty && line.chars().count() + 1 + word.chars().count() > WIDTH {
-            lines.push(std::mem::replace(&mut line, indent.to_owned()));
-            empty = true;
-        }
-        if !empty {
-            line.push(' ');
-        }
-        line.push_str(word);
-        empty = false;
-    }
-    lines.push(line);
-    lines
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::sample;
+    use crate::report::terminal::{LINE, NUMBER, TITLE};
+    use crate::report::tests::sample;
 
     fn numbers(line: &str) -> Vec<f64> {
         line[TITLE..].split_whitespace().map(|n| n.parse().expect("a number")).collect()
@@ -330,20 +140,12 @@ mod tests {
     }
 
     #[test]
-    fn published_figures_align_on_the_point_without_invented_digits() {
-        assert_eq!(millimetres(0.0147), "14.700");
-        assert_eq!(as_published(0.0147), "14.7  ");
-        assert_eq!(as_published(0.0020), "2.0  ");
-        assert_eq!(as_published(0.000_123), "0.123");
-    }
-
-    #[test]
     fn a_plain_report_has_no_escapes_and_no_report_is_wider_than_100_columns() {
         for outcome in [sample::simulated(), sample::measured(), sample::driven()] {
             let plain = render_tables(&outcome, Style::Plain);
             assert!(!plain.contains('\x1b'));
             for line in plain.lines() {
-                assert!(line.chars().count() <= WIDTH, "{line}");
+                assert!(line.chars().count() <= LINE, "{line}");
             }
             let coloured = render_tables(&outcome, Style::Colour);
             assert!(coloured.contains("\x1b["));

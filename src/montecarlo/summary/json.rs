@@ -83,7 +83,7 @@ fn predictions_json(predictions: &PredictionCoverage) -> Value {
     let fraction = predictions.coverage.fraction();
     json!({
         "fraction": fraction, "intervals": predictions.coverage.trials,
-        "interval_99_9": predictions.half_width.map(|half| [(fraction - half).max(0.0), (fraction + half).min(1.0)]),
+        "interval_99_9": interval_json(&predictions.estimate()),
     })
 }
 

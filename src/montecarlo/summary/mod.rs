@@ -1,10 +1,12 @@
 //! Statistics of many trials, from their table alone. Every sum runs in the order of the trials, so that the same table gives the same bits; columns
 //! are read repeatedly and never held, so that a table of any length takes the same memory.
 
+mod digits;
 mod json;
 mod modes;
 mod text;
 
+pub(crate) use digits::{decimals, with_interval};
 pub use json::summary_json;
 pub use modes::{
     MeanWithInterval, ModeSummary, NeesSummary, ParameterSummary, PredictionCoverage, Rate, SetSummary,

@@ -153,6 +153,15 @@ pub struct PredictionCoverage {
     pub half_width: Option<f64>,
 }
 
+impl PredictionCoverage {
+    /// The share with its 99.9 % interval, which ends at none and at all.
+    pub fn estimate(&self) -> Estimate {
+        let value = self.coverage.fraction();
+        let ends = |half: f64| Interval { low: (value - half).max(0.0), high: (value + half).min(1.0) };
+        Estimate { value, interval: self.half_width.map(ends) }
+    }
+}
+
 /// The mean normalised estimation error squared.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct NeesSummary {

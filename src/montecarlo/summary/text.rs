@@ -4,6 +4,7 @@ use std::fmt::Write;
 
 use calibrig_campaign::statistics::Estimate;
 
+use super::digits::{decimals, with_interval};
 use super::{
     CampaignSummary, ENOUGH, FactorEffect, GroupSummary, MeanWithInterval, ModeSummary, Rate, SetSummary,
 };
@@ -66,25 +67,21 @@ fn failures_text(text: &mut String, summary: &CampaignSummary) {
     }
 }
 
-/// Value and half width of its interval, in `unit` of the value: with two significant digits of the half width, and at least three
-/// decimals.
-fn with_half(value: f64, half: Option<f64>, unit: f64) -> String {
-    let Some(half) = half else { return format!("{:.3}", value / unit) };
-    let digits = decimals(half / unit);
-    format!("{:.digits$} ± {:.digits$}", value / unit, half / unit)
+/// A figure with its interval, in `unit` of the value.
+fn figure(estimate: &Estimate, unit: f64) -> String {
+    with_interval(estimate.value, estimate.interval, 1.0 / unit, plain)
 }
 
-fn decimals(half: f64) -> usize {
-    const LARGEST: f64 = 6.0;
-    let wanted = if half > 0.0 { 1.0 - half.log10().floor() } else { 3.0 };
-    // Between 3 and 6.
-    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
-    let digits = wanted.clamp(3.0, LARGEST) as usize;
-    digits
+fn mean(mean: &MeanWithInterval, unit: f64) -> String {
+    with_interval(mean.mean, mean.interval(), 1.0 / unit, plain)
+}
+
+fn plain(value: f64, digits: usize) -> String {
+    format!("{value:.digits$}")
 }
 
 fn mean_mm(mean: &MeanWithInterval) -> String {
-    with_half(mean.mean, mean.half_width, 1e-3)
+    self::mean(mean, 1e-3)
 }
 
 fn percent(rate: &Rate) -> String {
@@ -169,12 +166,7 @@ fn convergence_text(text: &mut String, group: &GroupSummary) {
 fn consistency_text(text: &mut String, group: &GroupSummary) {
     for mode in &group.modes {
         let Some(chi2) = &mode.chi2_per_dof else { continue };
-        let _ = write!(
-            text,
-            "\n{}: chi-square per degree of freedom {}",
-            mode.mode.title(),
-            with_half(chi2.mean, chi2.half_width, 1.0)
-        );
+        let _ = write!(text, "\n{}: chi-square per degree of freedom {}", mode.mode.title(), mean(chi2, 1.0));
         if let Some(nees) = mode.nees {
             let n = nees.parameters;
             let verdict =
@@ -191,7 +183,7 @@ fn consistency_text(text: &mut String, group: &GroupSummary) {
             let _ = write!(
                 text,
                 "; squared error over the bound at the truth {} per parameter",
-                with_half(squared.mean, squared.half_width, 1.0)
+                mean(squared, 1.0)
             );
         }
         if let Some(predictions) = mode.predictions {
@@ -317,9 +309,8 @@ fn sweep_text(text: &mut String, summary: &CampaignSummary, groups: &[GroupSumma
 
 fn sweep_row(text: &mut String, group: &GroupSummary, set: Option<&SetSummary>, within: &str) {
     let cell = |figure: Option<String>| figure.unwrap_or_else(|| "-".to_owned());
-    let difference = set.and_then(|set| set.against_first.as_ref()).map(|difference| {
-        with_half(difference.value, difference.interval.map(|interval| interval.half_width()), 1e-3)
-    });
+    let difference =
+        set.and_then(|set| set.against_first.as_ref()).map(|difference| figure(difference, 1e-3));
     let _ = writeln!(
         text,
         "{:<30} {:>7} {:>7} {:>18}  {:>18} {:>22}{}",
@@ -357,10 +348,7 @@ fn sensitivity_text(text: &mut String, summary: &CampaignSummary) {
         );
         for (name, effect) in &sensitivity.effects {
             let mm = |estimate: &Option<Estimate>| {
-                estimate.as_ref().map_or_else(
-                    || "-".to_owned(),
-                    |e| with_half(e.value, e.interval.map(|interval| interval.half_width()), 1e-3),
-                )
+                estimate.as_ref().map_or_else(|| "-".to_owned(), |estimate| figure(estimate, 1e-3))
             };
             let cells = match effect {
                 FactorEffect::Indices(indices) => {

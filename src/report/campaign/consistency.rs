@@ -4,14 +4,14 @@ use std::collections::BTreeMap;
 
 use maud::{Markup, html};
 
-use super::dots::{Dot, Panel, dots};
 use super::sweep::{MOST_ROWS, group_words};
-use super::words::{NONE, count, drawn, estimate, mean, share, with_half};
+use super::words::{NONE, count, drawn, estimate, mean, share};
 use crate::montecarlo::{BAND, CampaignSummary, GroupSummary, ModeSummary, ParameterSummary};
-use crate::report::ReportError;
-use crate::report::html::{key, number};
-use crate::report::parameters::{parameter_words, printed_unit};
+use crate::report::files::ReportError;
+use crate::report::markup::key;
 use crate::report::plots::look;
+use crate::report::rows::{Dot, FAR, Panel, dots};
+use crate::report::words::{number, parameter_words, printed_unit};
 use calibrig_campaign::statistics::{Estimate, Interval};
 use calibrig_model::ParameterId;
 
@@ -70,11 +70,10 @@ fn overview(summary: &CampaignSummary, is_one: bool) -> Result<String, ReportErr
         groups.iter().map(|group| (group_words(group), fitted(group).collect())).collect()
     };
     let names: Vec<_> = rows.iter().map(|(name, _)| name.clone()).collect();
-    let panel = |title: &str, zero: f64, dot: &dyn Fn(&ModeSummary) -> Option<Dot>| Panel {
-        title: title.to_owned(),
-        zero,
-        bars: false,
-        rows: rows.iter().map(|(_, modes)| modes.iter().filter_map(|mode| dot(mode)).collect()).collect(),
+    let panel = |title: &str, zero: f64, dot: &dyn Fn(&ModeSummary) -> Option<Dot>| {
+        let rows =
+            rows.iter().map(|(_, modes)| modes.iter().filter_map(|mode| dot(mode)).collect()).collect();
+        Panel { far: FAR, ..Panel::of(title, zero, rows) }
     };
     let panels: Vec<_> = [
         panel("NEES a parameter", 1.0, &nees_dot),
@@ -100,18 +99,17 @@ fn nees_dot(mode: &ModeSummary) -> Option<Dot> {
 
 fn chi2_dot(mode: &ModeSummary) -> Option<Dot> {
     let chi2 = mode.chi2_per_dof.as_ref()?;
-    let interval = chi2.half_width.map(|half| (chi2.mean - half, chi2.mean + half));
+    let interval = chi2.interval().map(|interval| (interval.low, interval.high));
     Some(Dot { look: look(mode.mode), value: chi2.mean, interval, band: None })
 }
 
 fn prediction_dot(mode: &ModeSummary) -> Option<Dot> {
     let predictions = mode.predictions?;
-    let share = 1e2 * predictions.coverage.fraction();
-    let interval = predictions.half_width.map(|half| (share - 1e2 * half, (share + 1e2 * half).min(100.0)));
+    let Estimate { value, interval } = predictions.estimate();
     Some(Dot {
         look: look(mode.mode),
-        value: share,
-        interval: interval.map(|(low, high)| (low.max(0.0), high)),
+        value: 1e2 * value,
+        interval: interval.map(|interval| (1e2 * interval.low, 1e2 * interval.high)),
         band: None,
     })
 }
@@ -163,7 +161,7 @@ fn row(mode: &ModeSummary) -> Markup {
         td { @match &mode.chi2_per_dof { Some(chi2) => (mean(chi2, 1.0)), None => (NONE) } }
         td { @match &mode.squared_over_bound { Some(squared) => (mean(squared, 1.0)), None => (NONE) } }
         td { @match &mode.predictions {
-            Some(predictions) => (with_half(predictions.coverage.fraction(), predictions.half_width, 1e2)),
+            Some(predictions) => (estimate(&predictions.estimate(), 1e2)),
             None => (NONE),
         } }
         td { @match &mode.iterations { Some(iterations) => (mean(iterations, 1.0)), None => (NONE) } }
@@ -224,16 +222,13 @@ fn parameter_figure(
         interval: estimate.interval.map(|interval| (interval.low, interval.high)),
         band: None,
     };
-    let panel =
-        |title: &str, zero: f64, dot: &dyn Fn(&ModeSummary, &ParameterSummary) -> Option<Dot>| Panel {
-            title: title.to_owned(),
-            zero,
-            bars: false,
-            rows: rows
-                .iter()
-                .map(|(_, cells)| cells.iter().filter_map(|(mode, p)| dot(mode, p)).collect())
-                .collect(),
-        };
+    let panel = |title: &str, zero: f64, dot: &dyn Fn(&ModeSummary, &ParameterSummary) -> Option<Dot>| {
+        let rows = rows
+            .iter()
+            .map(|(_, cells)| cells.iter().filter_map(|(mode, p)| dot(mode, p)).collect())
+            .collect();
+        Panel { far: FAR, ..Panel::of(title, zero, rows) }
+    };
     let covered = |mode: &ModeSummary, p: &ParameterSummary| {
         let (low, high) = p.coverage.interval(BAND);
         Some(Dot {

@@ -2,22 +2,22 @@
 
 use std::ops::Range;
 
-use calibrig_campaign::statistics::Histogram;
 use maud::{Markup, html};
-use plotters::element::DashedPathElement;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use super::words::set_title;
-use super::words::{MM, NONE, count, decimals, drawn, mean, millimetres, rate, set_words, stacked, unit};
-use crate::montecarlo::AccuracySet;
-use crate::montecarlo::{CampaignSummary, GroupSummary, MeanWithInterval, ModeSummary, Rate, SetSummary};
-use crate::report::ReportError;
-use crate::report::html::{key, number};
-use crate::report::plots::{
-    Area, Chart, Drawn, INK, SCALE, WIDTH, drawable, finite_range, foot, ink, look, marker, one_two_five,
-    padded, px, svg, text_style, tick, values_below, vertical_ticks,
+use super::words::{MM, NONE, count, drawn, mean, millimetres, rate, set_title, set_words, stacked, unit};
+use crate::montecarlo::{
+    AccuracySet, CampaignSummary, GroupSummary, MeanWithInterval, ModeSummary, Rate, SetSummary, decimals,
 };
+use crate::report::files::ReportError;
+use crate::report::markup::key;
+use crate::report::plots::{
+    Area, Chart, Drawn, INK, WIDTH, dashed, drawable, finite_range, foot, ink, look, marker, one_two_five,
+    padded, px, svg, text_style, tick, values_below, vertical_ticks, whisker,
+};
+use crate::report::words::number;
+use calibrig_campaign::statistics::Histogram;
 
 /// Values this far from each other are shown on a logarithmic axis.
 const FAR: f64 = 6.0;
@@ -180,18 +180,11 @@ fn histograms(
                     .y_label_area_size(px(52))
                     .build_cartesian_2d(axis.range.clone(), y.clone())?;
                 below(&panel, &mut chart, &axis, (&y, is_last))?;
-                let drawing = Row { axis: &axis, look: &look(mode.mode), set, most };
+                let drawing = Bars { axis: &axis, look: &look(mode.mode), set, most };
                 drawing.draw(&panel, &chart, &bins)?;
                 if let Some(tolerance) = summary.tolerance.filter(|t| is_near(*t, &span(rows))) {
                     let at = axis.at(MM * tolerance);
-                    let scale = SCALE.unsigned_abs();
-                    let line = vec![(at, y.start), (at, y.end)];
-                    chart.plotting_area().draw(&DashedPathElement::new(
-                        line,
-                        6 * scale,
-                        4 * scale,
-                        ink(3),
-                    ))?;
+                    dashed(&chart, [(at, y.start), (at, y.end)], ink(3))?;
                 }
             }
             foot(
@@ -253,14 +246,14 @@ fn shares(histogram: Option<&Histogram>, trials: u64) -> Vec<Bin> {
     bins.filter(|bin| bin.share > 0.0 && drawable(MM * bin.ends.0) && drawable(MM * bin.ends.1)).collect()
 }
 
-struct Row<'a> {
+struct Bars<'a> {
     axis: &'a Axis,
     look: &'a crate::report::plots::Look,
     set: &'a SetSummary,
     most: f64,
 }
 
-impl Row<'_> {
+impl Bars<'_> {
     fn draw(&self, panel: &Area, chart: &Chart, bins: &[Bin]) -> Drawn {
         let plot = chart.plotting_area();
         let at = |metres: f64| self.axis.at(MM * metres);
@@ -299,11 +292,7 @@ impl Row<'_> {
         let plot = chart.plotting_area();
         let y = -0.14 * self.most;
         let style = self.look.light.stroke_width(4);
-        let ends = [*low, *high].map(|metres| (self.axis.at(MM * metres), y));
-        plot.draw(&PathElement::new(ends.to_vec(), style))?;
-        for end in ends {
-            plot.draw(&(EmptyElement::at(end) + PathElement::new(vec![(0, -8), (0, 8)], style)))?;
-        }
+        whisker(chart, style, [*low, *high].map(|metres| self.axis.at(MM * metres)), y)?;
         plot.draw(&marker(self.look, (self.axis.at(MM * mean), y), 8))
     }
 }

@@ -2,7 +2,6 @@
 
 mod consistency;
 mod distribution;
-mod dots;
 mod sensitivity;
 mod sweep;
 mod sweep_figure;
@@ -12,44 +11,38 @@ mod words;
 
 use std::fmt::Write;
 
+use maud::{Markup, html};
+use words::{count, level, millimetres, name, shown};
+
+use crate::montecarlo::{CampaignSummary, GroupSummary, ModeSummary};
+use crate::report::markup::page;
+use crate::report::words::{cut, length_words};
 use calibrig_campaign::design::Design;
 use calibrig_campaign::plan::quoted;
 use calibrig_campaign::statistics::Convergence;
-use maud::{DOCTYPE, Markup, html};
-
-use super::html::head;
-use super::summary::length_words;
-use crate::montecarlo::{CampaignSummary, GroupSummary, ModeSummary};
-use words::{count, cut, level, millimetres, name, shown};
 
 /// Kinds of reasons that are told.
 const REASONS: usize = 20;
 
 /// The page. A figure that cannot be drawn is a line that says so: the numbers are there all the same.
 pub fn campaign_html(summary: &CampaignSummary) -> String {
-    let page = html! {
-        (DOCTYPE)
-        html lang="en" {
-            (head(&format!("Campaign: {}", shown(&summary.name))))
-            body {
-                (header(summary))
-                main {
-                    (matched(summary))
-                    (summary_section(summary))
-                    @match &summary.groups[..] {
-                        [group] if group.levels.is_empty() => (distribution::section(summary, group)),
-                        [] => {},
-                        _ => (sweep::section(summary)),
-                    }
-                    @if tells_sensitivity(summary) { (sensitivity::section(summary)) }
-                    @if consistency::is_told(summary) { (consistency::section(summary)) }
-                    (worst_section(summary))
-                    (reproduce_section(summary))
-                }
+    let body = html! {
+        (header(summary))
+        main {
+            (matched(summary))
+            (summary_section(summary))
+            @match &summary.groups[..] {
+                [group] if group.levels.is_empty() => (distribution::section(summary, group)),
+                [] => {},
+                _ => (sweep::section(summary)),
             }
+            @if tells_sensitivity(summary) { (sensitivity::section(summary)) }
+            @if consistency::is_told(summary) { (consistency::section(summary)) }
+            (worst_section(summary))
+            (reproduce_section(summary))
         }
     };
-    page.into_string()
+    page(&format!("Campaign: {}", shown(&summary.name)), &body)
 }
 
 fn is_sweep(summary: &CampaignSummary) -> bool {

@@ -1,13 +1,13 @@
 //! What the accuracy depends on, factor by factor.
 
-use calibrig_campaign::statistics::Estimate;
 use maud::{Markup, html};
 
-use super::dots::{Dot, Panel, dots};
-use super::words::{MM, NONE, count, drawn, estimate, index, name as name_words, set_words, unit};
+use super::words::{MM, NONE, count, drawn, estimate, index, set_words, unit};
 use crate::montecarlo::{CampaignSummary, FactorEffect, Sensitivity};
-use crate::report::html::key;
+use crate::report::markup::key;
 use crate::report::plots::look;
+use crate::report::rows::{Dot, Panel, dots};
+use calibrig_campaign::statistics::Estimate;
 
 /// Factors that are drawn and listed, those that matter most first.
 const MOST: usize = 40;
@@ -105,14 +105,10 @@ fn tornado(
     let panels: Vec<_> = titles
         .iter()
         .enumerate()
-        .map(|(which, title)| Panel {
-            title: (*title).to_owned(),
-            zero: 0.0,
-            bars: true,
-            rows: names
-                .iter()
-                .map(|name| summary.sensitivity.iter().filter_map(|own| dot(own, name, which)).collect())
-                .collect(),
+        .map(|(which, title)| {
+            let row =
+                |name: &String| summary.sensitivity.iter().filter_map(|own| dot(own, name, which)).collect();
+            Panel { bars: true, ..Panel::of(title, 0.0, names.iter().map(row).collect()) }
         })
         .collect();
     dots("sensitivities", "What the accuracy depends on", names, &panels)
@@ -134,7 +130,7 @@ fn table(own: &Sensitivity, names: &[String], indices: bool) -> Markup {
             } }
             tbody { @for name in names {
                 tr {
-                    th scope="row" { (name_words(name)) }
+                    th scope="row" { (super::words::name(name)) }
                     @match effect_of(own, name) {
                         Some(FactorEffect::Indices(effect)) => { td { (index(&effect.first)) } td { (index(&effect.total)) } },
                         Some(FactorEffect::Screening(effects)) => {

@@ -6,11 +6,12 @@ use maud::{Markup, html};
 
 use super::sweep_figure::curves;
 use super::words::{
-    NONE, count, decimals, drawn, estimate, level, levels, mean, millimetres, name, rate, set_words, unit,
+    NONE, count, drawn, estimate, level, levels, mean, millimetres, name, rate, set_words, unit,
 };
-use crate::montecarlo::{CampaignSummary, GroupSummary, SetSummary};
-use crate::report::html::{key, number};
+use crate::montecarlo::{CampaignSummary, GroupSummary, SetSummary, decimals};
+use crate::report::markup::key;
 use crate::report::plots::look;
+use crate::report::words::number;
 use calibrig_estimation::identification::Mode;
 
 /// Rows of a table; what is beyond is in the files.

@@ -2,18 +2,18 @@
 
 use std::ops::Range;
 
-use plotters::element::DashedPathElement;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::sweep::{distinct, modes, set_of};
-use super::words::{MM, cut, level};
+use super::words::{MM, level};
 use crate::montecarlo::{CampaignSummary, GroupSummary, MeanWithInterval};
-use crate::report::ReportError;
+use crate::report::files::ReportError;
 use crate::report::plots::{
-    Area, Chart, Drawn, INK, Look, SCALE, WIDTH, centred, curve, drawable, foot, frame, horizontal_ticks,
-    ink, look, marker, mesh, one_two_five, padded, px, svg, text_style,
+    Area, Axes, Chart, Drawn, Look, SCALE, WIDTH, centred, curve, dashed, drawable, foot, ink, look, marker,
+    one_two_five, padded, px, svg, text_style,
 };
+use crate::report::words::cut;
 use calibrig_estimation::identification::Mode;
 
 /// Values this far from each other are shown on a logarithmic axis.
@@ -153,22 +153,12 @@ struct Drawing<'a> {
 impl Drawing<'_> {
     fn panel(&mut self, area: &Area, panel: &Panel, with_title: bool) -> Drawn {
         let (x, y) = (self.levels.range(), self.height.range.clone());
-        let mut chart = frame(area, x.clone(), y.clone(), 26)?;
         let title = if with_title { "mean RMS 3-D error, mm" } else { "" };
-        if self.height.ticks.is_empty() {
-            mesh(&mut chart, "", title, false)?;
-        } else {
-            chart
-                .configure_mesh()
-                .disable_mesh()
-                .x_labels(0)
-                .y_labels(0)
-                .axis_style(INK.mix(0.6).stroke_width(2))
-                .axis_desc_style(text_style())
-                .y_desc(title)
-                .draw()?;
-            horizontal_ticks(area, &chart, &self.height.ticks, &x)?;
-        }
+        let axes = Axes { labels: (0, 6), title, ..Axes::default() };
+        let chart = match &self.height.ticks[..] {
+            [] => axes.draw(area, x.clone(), y.clone())?,
+            ticks => axes.draw_log(area, x.clone(), y.clone(), ticks)?,
+        };
         self.level_names(area, &chart)?;
         if let Some(at) = self
             .summary
@@ -176,9 +166,7 @@ impl Drawing<'_> {
             .map(|tolerance| self.height.at(tolerance))
             .filter(|at| *at > y.start && *at < y.end)
         {
-            let scale = SCALE.unsigned_abs();
-            let line = vec![(x.start, at), (x.end, at)];
-            chart.plotting_area().draw(&DashedPathElement::new(line, 6 * scale, 4 * scale, ink(3)))?;
+            dashed(&chart, [(x.start, at), (x.end, at)], ink(3))?;
         }
         let curves: Vec<_> =
             (0..self.modes.len()).map(|place| (look(self.modes[place]), self.points(panel, place))).collect();

@@ -6,8 +6,8 @@ use serde_json::{Value, json};
 
 use super::campaign_html;
 use crate::montecarlo::{CampaignSummary, GroupSummary, Study, StudyMode, Subject, summarise};
-use crate::report::html::tests::assert_balanced;
 use crate::report::plots::{LOOKS, hex, look};
+use crate::report::tests::pages::assert_balanced;
 
 /// What a table of a test holds.
 struct Made {

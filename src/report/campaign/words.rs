@@ -1,13 +1,11 @@
 //! Numbers and names as the page has them.
 
-use calibrig_campaign::statistics::{Estimate, Interval};
 use maud::{Markup, PreEscaped, html};
 
-use crate::montecarlo::AccuracySet;
-use crate::montecarlo::{GroupSummary, MeanWithInterval, Rate};
-use crate::report::ReportError;
-use crate::report::html::number;
-use crate::report::tables::printable;
+use crate::montecarlo::{AccuracySet, GroupSummary, MeanWithInterval, Rate, decimals, with_interval};
+use crate::report::files::ReportError;
+use crate::report::words::{cut, number};
+use calibrig_campaign::statistics::{Estimate, Interval};
 
 /// Characters of a text from a file that are shown.
 const LONGEST: usize = 400;
@@ -21,13 +19,6 @@ pub(super) const NONE: &str = "\u{2013}";
 /// A text from a file, on one line.
 pub(super) fn shown(text: &str) -> String {
     cut(text, LONGEST)
-}
-
-/// The first `most` characters, and that there are more.
-pub(super) fn cut(text: &str, most: usize) -> String {
-    let short: String = text.chars().take(most).collect();
-    let more = if short.len() < text.len() { "\u{2026}" } else { "" };
-    printable(&format!("{}{more}", short.trim()))
 }
 
 /// Characters of a level or of the name of a factor that are shown.
@@ -73,34 +64,12 @@ pub(super) fn count(value: u64) -> String {
     text
 }
 
-/// So many decimals that what is uncertain by `half` has two digits of it.
-pub(super) fn decimals(half: f64) -> usize {
-    if !(half.is_finite() && half > 0.0) {
-        return 4;
-    }
-    // Between 0 and 7.
-    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
-    let decimals = (1.0 - half.log10().floor()).clamp(0.0, 7.0) as usize;
-    decimals
-}
-
-/// Value and half the width of its interval.
-pub(super) fn with_half(value: f64, half: Option<f64>, factor: f64) -> String {
-    match half.map(|half| factor * half).filter(|half| half.is_finite()) {
-        Some(half) => {
-            let digits = decimals(half);
-            format!("{} \u{b1} {}", number(factor * value, digits), number(half, digits))
-        }
-        None => number(factor * value, 4),
-    }
-}
-
 pub(super) fn mean(mean: &MeanWithInterval, factor: f64) -> String {
-    with_half(mean.mean, mean.half_width, factor)
+    with_interval(mean.mean, mean.interval(), factor, number)
 }
 
 pub(super) fn estimate(estimate: &Estimate, factor: f64) -> String {
-    with_half(estimate.value, estimate.interval.map(|interval| interval.half_width()), factor)
+    with_interval(estimate.value, estimate.interval, factor, number)
 }
 
 /// Figure, and its interval below it.
@@ -138,10 +107,7 @@ pub(super) fn unit(metres: f64) -> (&'static str, f64) {
 
 /// An index, which is of the order of 1.
 pub(super) fn index(estimate: &Estimate) -> String {
-    let half = estimate.interval.map(|interval| interval.half_width());
-    let digits = half.map_or(3, decimals).min(3);
-    let value = number(estimate.value, digits);
-    half.map_or_else(|| value.clone(), |half| format!("{value} \u{b1} {}", number(half, digits)))
+    with_interval(estimate.value, estimate.interval, 1.0, |value, digits| number(value, digits.min(3)))
 }
 
 /// A length for people, such as a tolerance.

@@ -5,13 +5,13 @@ use std::ops::Range;
 use nalgebra::Vector3;
 use plotters::prelude::*;
 
-use super::super::plots::{
-    Area, Drawn, GRID, INK, LOOKS, Look, SCALE, VIEWS, WIDTH, centred, drawable, finite_range, foot, ink,
-    largest, marker, one_two_five, padded, place_axes, px, svg, text_style, tick,
-};
 use super::{is_to_be_looked_at, with_unit};
 use crate::compensate::{Compensation, Corrected, End};
-use crate::report::ReportError;
+use crate::report::files::ReportError;
+use crate::report::plots::{
+    Area, Axes, Chart, Drawn, INK, LOOKS, Look, WIDTH, centred, drawable, finite_range, foot, ink, largest,
+    log_range, marker, one_two_five, padded, place_axes, px, round_below, sampled, svg, three_views,
+};
 use calibrig_estimation::compensation::CompensatedPoint;
 
 const TITLE: i32 = 22;
@@ -29,12 +29,6 @@ pub(super) const SURE: Look = LOOKS[1];
 /// What has a mark.
 pub(super) const MARKED: Look = LOOKS[3];
 
-/// Every so many-th index, the last among them.
-fn sampled(count: usize, most: usize) -> impl Iterator<Item = usize> {
-    let step = count.div_ceil(most.max(1)).max(1);
-    (0..count).filter(move |index| index % step == 0 || index + 1 == count)
-}
-
 /// By how much arrows are drawn longer than they are: 1, 2 or 5 times a power of ten.
 pub(super) fn arrow_factor(made: &Compensation) -> f64 {
     let extent = (0..3).map(|axis| {
@@ -44,12 +38,7 @@ pub(super) fn arrow_factor(made: &Compensation) -> f64 {
     let extent = extent.fold(0.0, f64::max);
     let longest = made.before().map_or(0.0, |before| before.max);
     let wanted = LONGEST * extent / longest;
-    if !(wanted > 0.0 && wanted.is_finite()) {
-        return 1.0;
-    }
-    let decade = 10_f64.powf(wanted.log10().floor());
-    let digit = [5.0, 2.0].into_iter().find(|digit| digit * decade <= wanted).unwrap_or(1.0);
-    digit * decade
+    round_below(wanted).unwrap_or(1.0)
 }
 
 /// Ranges about the middles of two, in which a metre is as long across as up in a plot of these pixels.
@@ -80,9 +69,7 @@ pub(super) fn way_figure(made: &Compensation) -> Result<String, ReportError> {
         .collect();
     svg("the way", "Goals, and where nominal commands put the tool", (WIDTH, TITLE + PANEL + FOOT), |area| {
         let (body, _) = area.split_vertically(px(TITLE + PANEL));
-        for (cell, (view, across, up)) in body.split_evenly((1, 3)).iter().zip(VIEWS) {
-            let (head, panel) = cell.split_vertically(px(TITLE));
-            centred(&head, view)?;
+        three_views(&body, |panel, (across, up)| {
             let all = |axis: usize| {
                 let goals = made.points.iter().map(move |point| point.goal.position()[axis]);
                 padded(&finite_range(goals.chain(tips.iter().map(move |(_, tip)| tip[axis]))))
@@ -90,7 +77,7 @@ pub(super) fn way_figure(made: &Compensation) -> Result<String, ReportError> {
             let (width, height) = panel.dim_in_pixel();
             let inner = [f64::from(width) - f64::from(px(56)), f64::from(height) - f64::from(px(30))];
             let [x, y] = square(&all(across), &all(up), inner);
-            let chart = place_axes(&panel, x, y)?;
+            let chart = place_axes(panel, x, y)?;
             let plot = chart.plotting_area();
             if made.is_path {
                 let line: Vec<_> = sampled(made.points.len(), DRAWN)
@@ -113,7 +100,8 @@ pub(super) fn way_figure(made: &Compensation) -> Result<String, ReportError> {
                 let place = &marked[index];
                 plot.draw(&marker(&MARKED, (place[across], place[up]), 7))?;
             }
-        }
+            Ok(())
+        })?;
         foot(area, "base frame, m")
     })
 }
@@ -153,15 +141,8 @@ fn pieces(
     pieces
 }
 
-fn draw_pieces(
-    plot: &DrawingArea<
-        SVGBackend<'_>,
-        Cartesian2d<plotters::coord::types::RangedCoordf64, plotters::coord::types::RangedCoordf64>,
-    >,
-    made: &Compensation,
-    look: &Look,
-    pieces: Vec<Vec<(f64, f64)>>,
-) -> Drawn {
+fn draw_pieces(chart: &Chart, made: &Compensation, look: &Look, pieces: Vec<Vec<(f64, f64)>>) -> Drawn {
+    let plot = chart.plotting_area();
     for piece in pieces {
         if made.is_path && piece.len() > 1 {
             plot.draw(&PathElement::new(piece, look.light.stroke_width(3)))?;
@@ -183,64 +164,31 @@ pub(super) fn size_figure(made: &Compensation) -> Result<String, ReportError> {
     let (before, sigma) = (pieces(made, before), pieces(made, sigma));
     let values = || before.iter().chain(&sigma).flatten().map(|(_, value)| *value).chain(trust);
     let ticks = one_two_five(values().fold(f64::INFINITY, f64::min), values().fold(0.0, f64::max));
-    let low = ticks.first().copied().unwrap_or(1e-3).log10();
-    let high = ticks.last().copied().unwrap_or(1.0).log10().max(low + 0.1);
     let x = along_range(made);
-    svg(
-        "errors and their uncertainty",
-        "Predicted error and its uncertainty along the way",
-        (WIDTH, PANEL + FOOT),
-        |area| {
-            let (body, _) = area.split_vertically(px(PANEL));
-            let mut chart = ChartBuilder::on(&body)
-                .margin_top(px(6))
-                .margin_right(px(10))
-                .x_label_area_size(px(24))
-                .y_label_area_size(px(62))
-                .build_cartesian_2d(x.clone(), low..high)?;
-            chart
-                .configure_mesh()
-                .disable_mesh()
-                .x_labels(10)
-                .y_labels(0)
-                .axis_style(INK.mix(0.6).stroke_width(2))
-                .label_style(text_style())
-                .axis_desc_style(text_style())
-                .y_desc("mm (logarithmic)")
-                .x_label_formatter(&|v| tick(*v))
-                .draw()?;
-            let plot = chart.plotting_area();
-            let (left, top) = body.get_base_pixel();
-            let style = text_style().pos(plotters::style::text_anchor::Pos::new(
-                plotters::style::text_anchor::HPos::Right,
-                plotters::style::text_anchor::VPos::Center,
-            ));
-            for value in &ticks {
-                let y = value.log10();
-                plot.draw(&PathElement::new(vec![(x.start, y), (x.end, y)], GRID.stroke_width(2)))?;
-                let (column, line) = plot.map_coordinate(&(x.start, y));
-                body.draw(&Text::new(tick(*value), (column - left - px(5), line - top), style.clone()))?;
-            }
-            let logarithms = |pieces: Vec<Vec<(f64, f64)>>| {
-                pieces
-                    .into_iter()
-                    .map(|piece| piece.into_iter().map(|(x, y)| (x, y.log10())).collect())
-                    .collect::<Vec<Vec<_>>>()
-            };
-            draw_pieces(plot, made, &BEFORE, logarithms(before.clone()))?;
-            draw_pieces(plot, made, &SURE, logarithms(sigma.clone()))?;
-            if let Some(most) = trust {
-                plot.draw(&PathElement::new(vec![(x.start, most.log10()), (x.end, most.log10())], ink(3)))?;
-            }
-            // What is extrapolated has a mark at the foot.
-            let out: Vec<usize> =
-                (0..made.points.len()).filter(|index| !made.points[*index].beyond.is_empty()).collect();
-            for place in sampled(out.len(), DRAWN) {
-                plot.draw(&marker(&MARKED, (along(made, out[place]), low + 0.03 * (high - low)), 4))?;
-            }
-            foot(area, along_words(made))
-        },
-    )
+    let logarithms = |pieces: &[Vec<(f64, f64)>]| -> Vec<Vec<(f64, f64)>> {
+        pieces.iter().map(|piece| piece.iter().map(|(x, y)| (*x, y.log10())).collect()).collect()
+    };
+    let label = "Predicted error and its uncertainty along the way";
+    svg("errors and their uncertainty", label, (WIDTH, PANEL + FOOT), |area| {
+        let (body, _) = area.split_vertically(px(PANEL));
+        let axes = Axes { top: 6, room: (24, 62), title: "mm (logarithmic)", ..Axes::default() };
+        let chart = axes.draw_log(&body, x.clone(), log_range(&ticks), &ticks)?;
+        draw_pieces(&chart, made, &BEFORE, logarithms(&before))?;
+        draw_pieces(&chart, made, &SURE, logarithms(&sigma))?;
+        let plot = chart.plotting_area();
+        if let Some(most) = trust {
+            plot.draw(&PathElement::new(vec![(x.start, most.log10()), (x.end, most.log10())], ink(3)))?;
+        }
+        // What is extrapolated has a mark at the foot.
+        let heights = log_range(&ticks);
+        let foot_of = heights.start + 0.03 * (heights.end - heights.start);
+        let out: Vec<usize> =
+            (0..made.points.len()).filter(|index| !made.points[*index].beyond.is_empty()).collect();
+        for place in sampled(out.len(), DRAWN) {
+            plot.draw(&marker(&MARKED, (along(made, out[place]), foot_of), 4))?;
+        }
+        foot(area, along_words(made))
+    })
 }
 
 /// Corrected commands, and what the correction changes of them, a row an actuator.
@@ -293,25 +241,7 @@ fn command_panel(
     look: &Look,
     values: Vec<Vec<(f64, f64)>>,
 ) -> Drawn {
-    let mut chart = ChartBuilder::on(area)
-        .margin_top(px(3))
-        .margin_right(px(10))
-        .x_label_area_size(px(if is_last { 22 } else { 8 }))
-        .y_label_area_size(px(66))
-        .build_cartesian_2d(x, y)?;
-    chart
-        .configure_mesh()
-        .disable_x_mesh()
-        .x_labels(if is_last { 6 } else { 0 })
-        .y_labels(3)
-        .bold_line_style(GRID.stroke_width(2))
-        .light_line_style(TRANSPARENT)
-        .axis_style(INK.mix(0.6).stroke_width(u32::from(SCALE.unsigned_abs() > 1) + 1))
-        .label_style(text_style())
-        .axis_desc_style(text_style())
-        .y_desc(label)
-        .x_label_formatter(&|v| tick(*v))
-        .y_label_formatter(&|v| tick(*v))
-        .draw()?;
-    draw_pieces(chart.plotting_area(), made, look, values)
+    let (below, numbers) = if is_last { (22, 6) } else { (8, 0) };
+    let axes = Axes { top: 3, room: (below, 66), labels: (numbers, 3), title: label, ..Axes::default() };
+    draw_pieces(&axes.draw(area, x, y)?, made, look, values)
 }

@@ -1,17 +1,14 @@
 //! `compensation.json`, schema `calibrig.compensation/1`. It only grows.
 
-use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::super::json::{JsonSoftware, finite};
 use crate::compensate::{Beyond, Compensation, Corrected, End, Lengths};
+use crate::report::document::{Axes, JsonSoftware, axes, finite};
 use calibrig_estimation::compensation::{CompensatedPoint, CorrectionGrid, GridSpread, SpeedExcess};
 use calibrig_estimation::inverse::{Goal, JointAtLimit, LimitEnd, Unreachable};
 
 /// The schema's name.
 pub const COMPENSATION_SCHEMA: &str = "calibrig.compensation/1";
-
-type Axes = [Option<f64>; 3];
 
 /// The whole document, in SI. Numbers that are not finite are `null`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -232,10 +229,6 @@ pub struct JsonGrid {
     pub turned_rad: Option<f64>,
 }
 
-fn axes(v: &Vector3<f64>) -> Axes {
-    [finite(v.x), finite(v.y), finite(v.z)]
-}
-
 fn lengths(of: Lengths) -> JsonLengths {
     JsonLengths { count: of.count, mean_m: finite(of.mean), rms_m: finite(of.rms), max_m: finite(of.max) }
 }
@@ -264,7 +257,7 @@ fn at_limit(of: &JointAtLimit) -> JsonAtLimit {
 fn unreachable(told: &Unreachable) -> JsonUnreachable {
     JsonUnreachable {
         nearest_command: command(&told.command),
-        missed_m: axes(&told.missed),
+        missed_m: axes(told.missed),
         missed_rad: finite(told.missed_angle),
         limits: told.limits.iter().map(at_limit).collect(),
         without_limits: told.without_limits.as_ref().map(|all| all.iter().map(at_limit).collect()),
@@ -284,9 +277,9 @@ fn corrected(made: &Compensation, index: usize, point: &Corrected) -> JsonCorrec
         name: point.name.name.clone(),
         place: point.name.place.clone(),
         time_s: point.time.and_then(finite),
-        position_m: axes(&point.goal.position()),
+        position_m: axes(point.goal.position()),
         axis: match &point.goal {
-            Goal::Axis { direction, .. } => Some(axes(direction)),
+            Goal::Axis { direction, .. } => Some(axes(*direction)),
             _ => None,
         },
         rotation: match &point.goal {
@@ -297,10 +290,10 @@ fn corrected(made: &Compensation, index: usize, point: &Corrected) -> JsonCorrec
         nominal: found.map(|found| command(&found.nominal)),
         command: found.map(|found| command(&found.command)),
         approach: found.map(|found| found.approach.clone()).unwrap_or_default(),
-        before_m: found.map(|found| axes(&found.uncompensated)),
+        before_m: found.map(|found| axes(found.uncompensated)),
         left_m: found.and_then(|found| finite(found.missed())),
         left_rad: found.and_then(|_| finite(point.left_angle)),
-        sigma_m: found.and_then(CompensatedPoint::sigma).map(|sigma| axes(&sigma)),
+        sigma_m: found.and_then(CompensatedPoint::sigma).map(|sigma| axes(sigma)),
         sigma_3d_m: point.sigma().and_then(finite),
         limits: found.iter().flat_map(|found| &found.limits).map(at_limit).collect(),
         extrapolated: point.beyond.iter().map(beyond).collect(),
@@ -321,10 +314,10 @@ fn corrected(made: &Compensation, index: usize, point: &Corrected) -> JsonCorrec
 
 fn grid(of: &CorrectionGrid) -> JsonGrid {
     JsonGrid {
-        low_m: axes(&of.plan.low),
-        high_m: axes(&of.plan.high),
+        low_m: axes(of.plan.low),
+        high_m: axes(of.plan.high),
         points: of.plan.counts,
-        offsets_m: of.offsets.iter().map(|offset| offset.as_ref().map(axes)).collect(),
+        offsets_m: of.offsets.iter().map(|offset| offset.map(axes)).collect(),
         interpolated: spread(&of.interpolated),
         uncorrected: spread(&of.uncorrected),
         turned_rad: finite(of.turned),
@@ -357,7 +350,7 @@ pub fn json_compensation(made: &Compensation) -> JsonCorrectedCommands {
     let points = made.points.iter().enumerate().map(|(index, point)| corrected(made, index, point));
     JsonCorrectedCommands {
         schema: COMPENSATION_SCHEMA.to_owned(),
-        software: JsonSoftware { version: env!("CARGO_PKG_VERSION").to_owned() },
+        software: JsonSoftware::own(),
         targets: made.file.clone(),
         robot: made.robot.clone(),
         mode: made.mode.key().to_owned(),
@@ -365,9 +358,9 @@ pub fn json_compensation(made: &Compensation) -> JsonCorrectedCommands {
         estimated_by: made.estimated_by.clone(),
         tool: JsonTool {
             name: made.tool_name.clone(),
-            in_flange_m: axes(&flange_from_tool.translation.vector),
+            in_flange_m: axes(flange_from_tool.translation.vector),
             rotation: rows(flange_from_tool.rotation.matrix()),
-            axis: axes(made.tool.axis()),
+            axis: axes(*made.tool.axis()),
         },
         criterion: made.criterion.to_string(),
         kind: if made.is_path { "path" } else { "points" }.to_owned(),

@@ -14,10 +14,11 @@ pub use rows::{commands_csv, compensated_csv, grid_csv};
 
 use std::path::Path;
 
-use super::summary::length_words;
-use super::tables::{Ink, Style, TITLE, printable, wrap};
-use super::{ReportError, counted, stage};
 use crate::compensate::{Actuator, Compensation, Corrected, End, Lengths};
+use crate::report::document::json_text;
+use crate::report::files::{ReportError, write_all};
+use crate::report::terminal::{Ink, Style, TITLE, columns, wrap};
+use crate::report::words::{counted, length_words, printable};
 use calibrig_estimation::compensation::CompensatedPoint;
 
 /// Names of all files.
@@ -31,9 +32,7 @@ const LISTED: usize = 20;
 
 /// The text of `compensation.json`.
 pub fn compensation_json_text(made: &Compensation) -> Result<String, ReportError> {
-    let mut json = serde_json::to_string_pretty(&json_compensation(made))?;
-    json.push('\n');
-    Ok(json)
+    json_text(&json_compensation(made))
 }
 
 /// Writes the files to `folder`, which exists, and tells which: without goals no tables of them, without a grid no `grid.csv`. All are complete before one
@@ -49,13 +48,7 @@ pub fn write_compensation(made: &Compensation, folder: &Path) -> Result<Vec<&'st
     if let Some(grid) = &made.grid {
         files.push(("grid.csv", grid_csv(grid)?));
     }
-    let mut staged = Vec::new();
-    for (name, text) in &files {
-        staged.push(stage(folder, name, text)?);
-    }
-    for (file, path) in staged {
-        file.persist(&path).map_err(|e| ReportError::Write { path, source: e.error })?;
-    }
+    write_all(folder, &files)?;
     Ok(files.into_iter().map(|(name, _)| name).collect())
 }
 
@@ -84,12 +77,7 @@ fn optional(value: Option<f64>, words: impl Fn(f64) -> String) -> String {
 }
 
 fn row(title: &str, cells: &[String]) -> String {
-    let cells = cells.iter().map(|cell| format!("{cell:>CELL$}")).collect::<Vec<_>>().concat();
-    let mut title = printable(title);
-    if title.chars().count() > TITLE - 1 {
-        title = title.chars().take(TITLE - 1).collect();
-    }
-    format!("{title:<TITLE$}{cells}").trim_end().to_owned()
+    columns(title, cells, CELL)
 }
 
 /// What the tables say, in sentences.
@@ -103,7 +91,7 @@ fn sentences(made: &Compensation) -> Vec<String> {
     }
     if let (Some(before), Some(left)) = (made.before(), made.left()) {
         lines.push(format!(
-            "nominal commands would miss them by {} RMS, {} at worst; corrected ones by {} at worst on the model",
+            "nominal commands would miss them by {} RMS and {} at worst; on the model, corrected ones miss them by {} at worst",
             length_words(before.rms),
             length_words(before.max),
             // Below, digits say nothing.
@@ -114,7 +102,7 @@ fn sentences(made: &Compensation) -> Vec<String> {
         let worst = made.points.iter().enumerate().filter_map(|(at, point)| Some((at, point.sigma()?)));
         let at = worst.max_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(at, _)| at);
         lines.push(format!(
-            "the robot's mean position there is known to {} RMS (standard deviation in space), {} at worst, at point {}",
+            "standard deviation (68 %, in space) of the robot's mean position there: {} RMS, {} at worst, at point {}",
             length_words(sigmas.rms),
             length_words(sigmas.max),
             at + 1
@@ -188,7 +176,7 @@ pub fn render_compensation(made: &Compensation, style: Style) -> String {
     lines.extend(sentences(made).iter().flat_map(|words| wrap(&format!("  {}", printable(words)), "    ")));
     for words in &made.remarks {
         let words = format!("  {}", printable(words));
-        lines.extend(wrap(&words, "    ").iter().map(|line| style.paint(Ink::Warning, line)));
+        lines.extend(style.told(Ink::Warning, &words, "    "));
     }
     lines.push(String::new());
     lines.join("\n")

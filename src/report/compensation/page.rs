@@ -1,12 +1,13 @@
 //! `compensation.html`: one file that opens anywhere, without scripts and without anything fetched.
 
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{Markup, PreEscaped, html};
 
 use super::figure::{BEFORE, MARKED, SURE, arrow_factor, command_figure, size_figure, way_figure};
 use super::{bend_ratio, listed, marks, sentences, title, with_unit};
 use crate::compensate::{Compensation, Lengths};
-use crate::report::html::{head, key, number};
-use crate::report::{ReportError, counted};
+use crate::report::files::ReportError;
+use crate::report::markup::{key, page};
+use crate::report::words::{counted, number};
 use calibrig_estimation::compensation::{CompensatedPoint, CorrectionGrid, GridSpread};
 
 /// The page of corrected commands.
@@ -14,37 +15,31 @@ pub fn compensation_html(made: &Compensation) -> Result<String, ReportError> {
     let has_points = made.corrected().next().is_some();
     let figures =
         if has_points { Some([way_figure(made)?, size_figure(made)?, command_figure(made)?]) } else { None };
-    let page = html! {
-        (DOCTYPE)
-        html lang="en" {
-            (head(&title(made)))
-            body {
-                (header(made))
-                main {
-                    @if !made.doubts.is_empty() {
-                        aside.doubt role="note" {
-                            p { strong { "To be looked at" } }
-                            ul { @for doubt in &made.doubts { li { (doubt) } } }
-                        }
-                    }
-                    section #summary {
-                        h2 { "Summary" }
-                        ul { @for line in sentences(made) { li { (line) } } }
-                        @if !made.remarks.is_empty() {
-                            ul.warnings { @for line in &made.remarks { li { (line) } } }
-                        }
-                        p.note {
-                            "What is left is by the identified model; the machine differs from it by what the model lacks. The standard deviations hold what the fit has seen of that. "
-                            "The tool is taken as exact."
-                        }
-                    }
-                    @if made.asked > 0 { (points_section(made, figures.as_ref())) }
-                    @if let Some(grid) = &made.grid { (grid_section(grid)) }
+    let body = html! {
+        (header(made))
+        main {
+            @if !made.doubts.is_empty() {
+                aside.doubt role="note" {
+                    p { strong { "To be looked at" } }
+                    ul { @for doubt in &made.doubts { li { (doubt) } } }
                 }
             }
+            section #summary {
+                h2 { "Summary" }
+                ul { @for line in sentences(made) { li { (line) } } }
+                @if !made.remarks.is_empty() {
+                    ul.warnings { @for line in &made.remarks { li { (line) } } }
+                }
+                p.note {
+                    "\u{201c}Left\u{201d} is what remains on the identified model. The machine differs from the model; the standard deviations hold as much of that as the fit has seen. "
+                    "The tool is taken as exact."
+                }
+            }
+            @if made.asked > 0 { (points_section(made, figures.as_ref())) }
+            @if let Some(grid) = &made.grid { (grid_section(grid)) }
         }
     };
-    Ok(page.into_string())
+    Ok(page(&title(made), &body))
 }
 
 fn header(made: &Compensation) -> Markup {
@@ -103,7 +98,7 @@ fn points_section(made: &Compensation, figures: Option<&[String; 3]>) -> Markup 
                     }
                     div.scroll { (PreEscaped(size)) }
                     figcaption {
-                        "Where the standard deviation comes near to what is corrected, the correction is not to be trusted."
+                        "Where the standard deviation is nearly as large as the correction, do not trust the correction: measure more poses there."
                         @if let Some(trust) = made.trust { " The line is at " (number(1e3 * trust, 3)) " mm, as asked for." }
                     }
                 }
@@ -113,7 +108,7 @@ fn points_section(made: &Compensation, figures: Option<&[String; 3]>) -> Markup 
             @if let Some([_, _, commands]) = figures {
                 figure {
                     div.scroll { (PreEscaped(commands)) }
-                    figcaption { "Corrected commands, and what they differ by from those of the nominal robot." }
+                    figcaption { "Corrected commands, and their difference from the commands of the nominal robot." }
                 }
             }
             (point_table(made))
@@ -167,7 +162,7 @@ fn actuator_table(made: &Compensation) -> Markup {
             }
         } }
         @if made.is_path {
-            p.note { "Bend: the largest second difference of the corrected commands over that of the nominal ones; 1 is as smooth." }
+            p.note { "Bend: the largest second difference of the corrected commands over that of the nominal ones; at 1 they are equally smooth." }
         }
     }
 }
@@ -221,7 +216,7 @@ fn grid_section(grid: &CorrectionGrid) -> Markup {
                 }
             } }
             p.note {
-                "A controller that is told to go to a place and its offset puts the tool at the place, on the model, if it resolves its redundancy as here. At the points themselves nothing is left; the middles have no offset of their own."
+                "Command a place plus its offset, and the tool comes to the place itself, on the model and with the redundancy resolved as here. At the points of the grid nothing is left. The table has the middles of the cells, where offsets are interpolated."
             }
         }
     }

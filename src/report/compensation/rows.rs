@@ -1,7 +1,7 @@
 //! Tables of corrected commands. Every number reads back to the same bits.
 
 use crate::compensate::{Actuator, Compensation, Corrected, End};
-use crate::report::ReportError;
+use crate::report::files::ReportError;
 use calibrig_estimation::compensation::{CompensatedPoint, CorrectionGrid};
 use calibrig_estimation::inverse::Goal;
 use calibrig_model::JointKind;

@@ -1,14 +1,15 @@
 //! Attained positions about their barycentres, and accuracy pose by pose.
 
 use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, VPos};
 
-use super::super::plots::{
-    Area, Drawn, GRID, INK, LOOKS, Look, Marker, VIEWS, WIDTH, centred, drawable, foot, ink, largest, look,
-    marker, px, svg, text_style, tick,
-};
 use super::pose_name;
 use crate::pipeline::{AccuracyAgainst, Iso9283Outcome, Iso9283Target};
-use crate::report::ReportError;
+use crate::report::files::ReportError;
+use crate::report::plots::{
+    Area, Axes, Drawn, Grid, LOOKS, Look, Marker, VIEWS, WIDTH, centred, drawable, foot, ink, largest, look,
+    marker, px, svg, text_at,
+};
 use calibrig_estimation::identification::Mode;
 
 const TITLE: i32 = 22;
@@ -54,25 +55,8 @@ pub(super) fn scatter_figure(
 }
 
 fn panel(area: &Area, label: &str, points: &[(f64, f64)], rp: f64, reach: f64) -> Drawn {
-    let mut chart = ChartBuilder::on(area)
-        .margin_top(px(3))
-        .margin_right(px(6))
-        .x_label_area_size(px(20))
-        .y_label_area_size(px(46))
-        .build_cartesian_2d(-reach..reach, -reach..reach)?;
-    chart
-        .configure_mesh()
-        .x_labels(3)
-        .y_labels(3)
-        .bold_line_style(GRID.stroke_width(2))
-        .light_line_style(TRANSPARENT)
-        .axis_style(INK.mix(0.6).stroke_width(2))
-        .label_style(text_style())
-        .axis_desc_style(text_style())
-        .y_desc(label)
-        .x_label_formatter(&|v| tick(*v))
-        .y_label_formatter(&|v| tick(*v))
-        .draw()?;
+    let axes = Axes { top: 3, right: 6, room: (20, 46), labels: (3, 3), grid: Grid::Both, title: label };
+    let chart = axes.draw(area, -reach..reach, -reach..reach)?;
     let plot = chart.plotting_area();
     if drawable(rp) {
         let circle = (0..=72).map(|i| {
@@ -112,25 +96,12 @@ pub(super) fn accuracy_figure(
     svg("accuracy", "Pose accuracy pose by pose", (WIDTH, PANEL + FOOT), |area| {
         let (body, _) = area.split_vertically(px(PANEL));
         let columns = poses.len().max(1) as f64;
-        let mut chart = ChartBuilder::on(&body)
-            .margin_top(px(6))
-            .margin_right(px(10))
-            .x_label_area_size(px(22))
-            .y_label_area_size(px(62))
-            .build_cartesian_2d(0.0..columns, low..high)?;
-        chart
-            .configure_mesh()
-            .disable_x_mesh()
-            .x_labels(0)
-            .y_labels(usize::try_from(tick_count(high - low)).unwrap_or(3))
-            .bold_line_style(GRID.stroke_width(2))
-            .light_line_style(TRANSPARENT)
-            .axis_style(INK.mix(0.6).stroke_width(2))
-            .label_style(text_style())
-            .axis_desc_style(text_style())
-            .y_desc("AP, mm (logarithmic)")
-            .y_label_formatter(&|v| tick(10.0_f64.powf(*v)))
-            .draw()?;
+        let decades: Vec<f64> =
+            (0..).map(|step| low + f64::from(step)).take_while(|at| *at <= high).collect();
+        let ticks: Vec<f64> = decades.iter().map(|at| 10.0_f64.powf(*at)).collect();
+        let axes =
+            Axes { top: 6, room: (22, 62), labels: (0, 0), title: "AP, mm (logarithmic)", ..Axes::default() };
+        let chart = axes.draw_log(&body, 0.0..columns, low..high, &ticks)?;
         let plot = chart.plotting_area();
         for (column, pose) in poses.iter().enumerate() {
             let at = column as f64;
@@ -144,18 +115,10 @@ pub(super) fn accuracy_figure(
                 }
             }
             let (x, y) = plot.map_coordinate(&(at + 0.5, low));
-            let style = text_style().pos(plotters::style::text_anchor::Pos::new(
-                plotters::style::text_anchor::HPos::Center,
-                plotters::style::text_anchor::VPos::Top,
-            ));
             let (left, top) = body.get_base_pixel();
-            body.draw(&Text::new(pose_name(outcome, pose.pose), (x - left, y - top + px(4)), style))?;
+            let place = (x - left, y - top + px(4));
+            text_at(&body, &pose_name(outcome, pose.pose), place, (HPos::Center, VPos::Top))?;
         }
         foot(area, "pose")
     })
-}
-
-/// A label a decade.
-fn tick_count(decades: f64) -> i64 {
-    (1..=12).find(|n| *n as f64 >= decades).unwrap_or(12) + 1
 }

@@ -1,18 +1,15 @@
 //! `iso9283.json`, schema `calibrig.iso9283/1`. It only grows.
 
-use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::super::json::{JsonInput, JsonSoftware, finite};
 use crate::pipeline::{AccuracyAgainst, Iso9283Outcome, Iso9283Pose, Iso9283Target};
+use crate::report::document::{Axes, JsonInput, JsonSoftware, axes, finite};
 use calibrig_estimation::evaluation::iso9283::{
     ISO_LEVEL, OrientationAccuracy, OrientationRepeatability, PositionAccuracy,
 };
 
 /// The schema's name.
 pub const ISO9283_SCHEMA: &str = "calibrig.iso9283/1";
-
-type Axes = [Option<f64>; 3];
 
 /// The whole document. Numbers that are not finite are `null`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -163,10 +160,6 @@ pub struct JsonCombined {
     pub accuracy: Vec<(String, Vec<JsonIsoTurn>)>,
 }
 
-fn axes(v: Vector3<f64>) -> Axes {
-    [finite(v.x), finite(v.y), finite(v.z)]
-}
-
 fn orientation(rp: &OrientationRepeatability) -> JsonIsoOrientation {
     JsonIsoOrientation {
         rp_rad: axes(rp.repeatability),
@@ -217,13 +210,8 @@ fn row(target: &Iso9283Target, against: &AccuracyAgainst) -> JsonIsoRow {
 pub fn json_iso9283(outcome: &Iso9283Outcome) -> JsonIso9283 {
     JsonIso9283 {
         schema: ISO9283_SCHEMA.to_owned(),
-        software: JsonSoftware { version: env!("CARGO_PKG_VERSION").to_owned() },
-        input: JsonInput {
-            kind: outcome.input.kind.to_owned(),
-            name: outcome.input.name.clone(),
-            sha256: outcome.input.sha256.clone(),
-            seed: outcome.input.seed,
-        },
+        software: JsonSoftware::own(),
+        input: JsonInput::from(&outcome.input),
         robot: outcome.robot.clone(),
         cycles: outcome.cycles,
         level: ISO_LEVEL,

@@ -14,10 +14,12 @@ use std::path::Path;
 
 use nalgebra::Vector3;
 
-use super::summary::{length_words, significant};
-use super::tables::{Ink, Style, TITLE, printable, wrap};
-use super::{ReportError, counted, stage};
 use crate::pipeline::{Iso9283Outcome, Iso9283Pose, Iso9283Target};
+use crate::report::document::json_text;
+use crate::report::files::{ReportError, write_all};
+use crate::report::terminal::{Ink, Style, TITLE, columns, wrap};
+use crate::report::words::percent;
+use crate::report::words::{counted, length_words, printable, significant};
 use calibrig_estimation::evaluation::iso9283::{OrientationAccuracy, OrientationRepeatability};
 
 /// Width of a column of numbers.
@@ -28,21 +30,13 @@ const RECALLED: &str =
 
 /// The text of `iso9283.json`.
 pub fn iso9283_json_text(outcome: &Iso9283Outcome) -> Result<String, ReportError> {
-    let mut json = serde_json::to_string_pretty(&json_iso9283(outcome))?;
-    json.push('\n');
-    Ok(json)
+    json_text(&json_iso9283(outcome))
 }
 
 /// Writes `iso9283.html` and `iso9283.json` to `folder`, which exists. Both are complete before one takes its name.
 pub fn write_iso9283(outcome: &Iso9283Outcome, folder: &Path) -> Result<(), ReportError> {
-    let staged = [
-        stage(folder, "iso9283.html", &iso9283_html(outcome)?)?,
-        stage(folder, "iso9283.json", &iso9283_json_text(outcome)?)?,
-    ];
-    for (file, path) in staged {
-        file.persist(&path).map_err(|e| ReportError::Write { path, source: e.error })?;
-    }
-    Ok(())
+    let (page, document) = (iso9283_html(outcome)?, iso9283_json_text(outcome)?);
+    write_all(folder, &[("iso9283.html", page), ("iso9283.json", document)])
 }
 
 /// P1 to P5 of a cube; of a file, its own numbers.
@@ -86,7 +80,7 @@ fn sentences(outcome: &Iso9283Outcome) -> Vec<String> {
         if let Some(pose) = worst(target) {
             let [low, high] = pose.position.interval;
             lines.push(format!(
-                "{of}repeatability RP is {} at worst ({}); of endless cycles it would be {} to {}",
+                "{of}repeatability RP is {} at worst ({}); 95 % interval for endlessly many cycles: {} to {}",
                 length_words(pose.position.repeatability),
                 pose_name(outcome, pose.pose),
                 length_words(low),
@@ -96,13 +90,15 @@ fn sentences(outcome: &Iso9283Outcome) -> Vec<String> {
         if let Some(over) = target.over_stated {
             let noise = format!("{of}the readings' stated noise");
             lines.push(if over.ratio > over.band.1 {
-                let share = super::scatter::percent(1.0 / over.ratio);
+                let share = percent(1.0 / over.ratio);
                 format!("{noise} makes {share} of the variance of that scatter, the machine the rest")
             } else if over.ratio < over.band.0 {
                 let ratio = significant(over.ratio.sqrt());
-                format!("{noise} is stated too large: all that is seen is {ratio} times as large")
+                format!(
+                    "{noise} is stated too large: the scatter seen is only {ratio} times as large; state less"
+                )
             } else {
-                format!("{noise} is all that is seen of that scatter: none of the machine's shows beside it")
+                format!("{noise} explains all of that scatter: the machine's own cannot be seen beside it")
             });
         }
         let worst = |row: &crate::pipeline::AccuracyAgainst| {
@@ -121,13 +117,7 @@ fn sentences(outcome: &Iso9283Outcome) -> Vec<String> {
 }
 
 fn row(title: &str, cells: &[String]) -> String {
-    let cells = cells.iter().map(|cell| format!("{cell:>CELL$}")).collect::<Vec<_>>().concat();
-    let room = TITLE.saturating_sub(1);
-    let mut title: String = printable(title);
-    if title.chars().count() > room {
-        title = title.chars().take(room).collect();
-    }
-    format!("{title:<TITLE$}{cells}").trim_end().to_owned()
+    columns(title, cells, CELL)
 }
 
 /// Poses a table has room for beside each other.
@@ -135,8 +125,7 @@ const COLUMNS: usize = 6;
 
 /// The tables in mm and mrad; at most 100 columns wide.
 pub fn render_iso9283(outcome: &Iso9283Outcome, style: Style) -> String {
-    let mut lines: Vec<String> =
-        wrap(&printable(&title(outcome)), "    ").iter().map(|l| style.paint(Ink::Heading, l)).collect();
+    let mut lines: Vec<String> = style.told(Ink::Heading, &title(outcome), "    ");
     for target in &outcome.targets {
         lines.push(String::new());
         lines.extend(target_lines(outcome, target, style));
@@ -144,7 +133,7 @@ pub fn render_iso9283(outcome: &Iso9283Outcome, style: Style) -> String {
     if let Some(combined) = &outcome.combined {
         lines.push(String::new());
         let words = format!("Orientation from targets {} together, mrad", combined.targets.join(", "));
-        lines.extend(wrap(&printable(&words), "    ").iter().map(|l| style.paint(Ink::Heading, l)));
+        lines.extend(style.told(Ink::Heading, &words, "    "));
         let names: Vec<String> = pose_names(outcome);
         for place in chunks(names.len()) {
             lines.push(row("", &names[place.clone()]));
@@ -156,9 +145,7 @@ pub fn render_iso9283(outcome: &Iso9283Outcome, style: Style) -> String {
     }
     lines.push(String::new());
     lines.extend(sentences(outcome).iter().flat_map(|words| wrap(&printable(words), "    ")));
-    let note = |ink, words: &str| -> Vec<String> {
-        wrap(&printable(words), "    ").iter().map(|l| style.paint(ink, l)).collect()
-    };
+    let note = |ink, words: &str| -> Vec<String> { style.told(ink, words, "    ") };
     lines.extend(outcome.remarks.iter().flat_map(|words| note(Ink::Warning, words)));
     lines.extend(note(Ink::Dim, RECALLED));
     lines.push(String::new());
@@ -229,7 +216,7 @@ fn target_lines(outcome: &Iso9283Outcome, target: &Iso9283Target, style: Style) 
     }
     for against in &target.rows {
         let words = format!("{}: {}", against.title, against.registration);
-        lines.extend(wrap(&printable(&words), "    ").iter().map(|l| style.paint(Ink::Dim, l)));
+        lines.extend(style.told(Ink::Dim, &words, "    "));
     }
     lines
 }

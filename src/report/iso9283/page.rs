@@ -1,12 +1,13 @@
 //! `iso9283.html`: one file that opens anywhere, without scripts and without anything fetched.
 
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{Markup, PreEscaped, html};
 
 use super::figure::{accuracy_figure, look_of, scatter_figure};
 use super::{ANGLES, RECALLED, pose_name, pose_names, sentences, title_of};
 use crate::pipeline::{AccuracyAgainst, Iso9283Outcome, Iso9283Pose, Iso9283Target};
-use crate::report::html::{head, key, number};
-use crate::report::{ReportError, counted};
+use crate::report::files::ReportError;
+use crate::report::markup::{key, page};
+use crate::report::words::{counted, number};
 use calibrig_estimation::evaluation::iso9283::{OrientationAccuracy, OrientationRepeatability};
 
 /// The page of a test.
@@ -15,34 +16,28 @@ pub fn iso9283_html(outcome: &Iso9283Outcome) -> Result<String, ReportError> {
     for target in &outcome.targets {
         targets.push(target_section(outcome, target)?);
     }
-    let page = html! {
-        (DOCTYPE)
-        html lang="en" {
-            (head(&format!("ISO 9283: {}", outcome.robot)))
-            body {
-                (header(outcome))
-                main {
-                    @if !outcome.doubts.is_empty() {
-                        aside.doubt role="note" {
-                            strong { "Doubtful. " }
-                            @for doubt in &outcome.doubts { (doubt) ". " }
-                        }
-                    }
-                    section #summary {
-                        h2 { "Summary" }
-                        ul { @for line in sentences(outcome) { li { (line) } } }
-                        @if !outcome.remarks.is_empty() {
-                            ul.warnings { @for line in &outcome.remarks { li { (line) } } }
-                        }
-                        p.note { (RECALLED) }
-                    }
-                    @for target in &targets { (target) }
-                    (combined_section(outcome))
+    let body = html! {
+        (header(outcome))
+        main {
+            @if !outcome.doubts.is_empty() {
+                aside.doubt role="note" {
+                    strong { "Doubtful. " }
+                    @for doubt in &outcome.doubts { (doubt) ". " }
                 }
             }
+            section #summary {
+                h2 { "Summary" }
+                ul { @for line in sentences(outcome) { li { (line) } } }
+                @if !outcome.remarks.is_empty() {
+                    ul.warnings { @for line in &outcome.remarks { li { (line) } } }
+                }
+                p.note { (RECALLED) }
+            }
+            @for target in &targets { (target) }
+            (combined_section(outcome))
         }
     };
-    Ok(page.into_string())
+    Ok(page(&format!("ISO 9283: {}", outcome.robot), &body))
 }
 
 fn header(outcome: &Iso9283Outcome) -> Markup {
@@ -93,7 +88,7 @@ fn target_section(outcome: &Iso9283Outcome, target: &Iso9283Target) -> Result<Ma
                     @if let Some(turns) = &turns { (turn_lines(turns)) }
                 }
             } }
-            p.note { "RP is the mean distance from the barycentre and three of its standard deviations. It holds the scatter of the readings, too. The interval is that of the value of endless cycles, for normal scatter." }
+            p.note { "RP is the mean distance from the barycentre plus three standard deviations of that distance; the scatter of the readings is part of it. The 95 % interval is for the RP of endlessly many cycles, if the scatter is normal." }
             figure {
                 div.scroll { (PreEscaped(scatter)) }
                 figcaption {
@@ -114,9 +109,9 @@ fn target_section(outcome: &Iso9283Outcome, target: &Iso9283Target) -> Result<Ma
                     @for row in &target.rows { (accuracy_lines(row)) }
                 } }
                 p.note {
-                    "AP in mm: attained minus predicted. \u{201c}Known within\u{201d}: radius that holds the barycentre of endless cycles in 95 %. "
-                    "What all cycles have in common, such as the tracker's place, is not in it, but in what is expected: how far off a robot states to be there, as a standard deviation of the 3-D error. "
-                    "By nests that is the tracker's place and the target's offset alone; the nominal robot states nothing of itself."
+                    "AP in mm: attained minus predicted position. \u{201c}Known within\u{201d}: the 95 % radius about the barycentre for endlessly many cycles. Errors that all cycles share, such as the tracker's place, are not in it. "
+                    "\u{201c}Expected\u{201d} holds them: the standard deviation (68 %) of the 3-D error that the robot's estimate states there. "
+                    "The nominal robot states no error of its own; by nests only the tracker's place and the target's offset are counted."
                 }
                 ul { @for row in &target.rows { li { (row.title) ": " (row.registration) } } }
             }

@@ -6,16 +6,19 @@ use nalgebra::Vector3;
 use plotters::prelude::*;
 
 use crate::pipeline::{Judgement, ModeOutcome, Outcome, PredictedPosition};
-use crate::report::ReportError;
+use crate::report::files::ReportError;
+use crate::report::plots::look;
 use crate::report::plots::{
-    Area, Drawn, GRID, INK, VIEWS, WIDTH, centred, drawable, finite_range, foot, ink, largest, look, marker,
-    padded, place_axes, px, svg, text_style, tick,
+    Area, Axes, Drawn, INK, WIDTH, centred, drawable, finite_range, foot, ink, largest, markers, padded,
+    place_axes, px, svg, thinned, three_views,
 };
 use calibrig_estimation::evaluation::{Cause, ResidualPattern};
 use calibrig_model::JointKind;
 
 const TITLE: i32 = 22;
 const FOOT: i32 = 20;
+/// Points in a panel; of more, those of `thinned`.
+pub(super) const MARKED: usize = 120;
 /// Classes of the mean curve.
 const CLASSES: usize = 8;
 
@@ -120,33 +123,13 @@ fn command_unit(outcome: &Outcome, joint: usize) -> (&'static str, f64) {
 /// Points in the mode's look, and the mean of every class of the variable as a line.
 fn scatter(area: &Area, mode: &ModeOutcome, points: &[(f64, f64)], reach: f64, first: bool) -> Drawn {
     let x = padded(&finite_range(points.iter().map(|p| p.0)));
-    let mut chart = ChartBuilder::on(area)
-        .margin_top(px(4))
-        .margin_right(px(10))
-        .x_label_area_size(px(24))
-        .y_label_area_size(px(52))
-        .build_cartesian_2d(x.clone(), -reach..reach)?;
-    chart
-        .configure_mesh()
-        .disable_x_mesh()
-        .x_labels(4)
-        .y_labels(5)
-        .bold_line_style(GRID.stroke_width(2))
-        .light_line_style(TRANSPARENT)
-        .axis_style(INK.mix(0.6).stroke_width(2))
-        .label_style(text_style())
-        .axis_desc_style(text_style())
-        .y_desc(if first { "error, mm" } else { "" })
-        .x_label_formatter(&|v| tick(*v))
-        .y_label_formatter(&|v| tick(*v))
-        .draw()?;
+    let title = if first { "error, mm" } else { "" };
+    let axes = Axes { room: (24, 52), labels: (4, 5), title, ..Axes::default() };
+    let chart = axes.draw(area, x.clone(), -reach..reach)?;
     let look = look(mode.mode);
     let plot = chart.plotting_area();
     plot.draw(&PathElement::new(vec![(x.start, 0.0), (x.end, 0.0)], ink(1)))?;
-    let size = if points.len() > 300 { 3 } else { 5 };
-    for point in points {
-        plot.draw(&marker(&look, *point, size))?;
-    }
+    markers(&chart, &look, &thinned(points.to_vec(), MARKED))?;
     let means = class_means(points);
     if means.len() < 2 { Ok(()) } else { plot.draw(&PathElement::new(means, ink(5))) }
 }
@@ -172,19 +155,10 @@ fn class_means(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
 pub(super) fn map_figure(map: &[PredictedPosition]) -> Result<String, ReportError> {
     const PANEL: i32 = 300;
     let most = map.iter().map(PredictedPosition::length).fold(0.0, f64::max);
-    svg(
-        "predicted uncertainty",
-        "Uncertainty of the predicted position in three views",
-        (WIDTH, TITLE + PANEL),
-        |area| {
-            for (panel, (title, across, up)) in area.split_evenly((1, 3)).iter().zip(VIEWS) {
-                let (head, plot) = panel.split_vertically(px(TITLE));
-                centred(&head, &format!("{title}, m"))?;
-                view(&plot, map, (across, up), most)?;
-            }
-            Ok(())
-        },
-    )
+    let label = "Uncertainty of the predicted position in three views";
+    svg("predicted uncertainty", label, (WIDTH, TITLE + PANEL), |area| {
+        three_views(area, |panel, axes| view(panel, map, axes, most))
+    })
 }
 
 fn view(area: &Area, map: &[PredictedPosition], (across, up): (usize, usize), most: f64) -> Drawn {

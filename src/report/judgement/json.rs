@@ -2,13 +2,13 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::super::json::JsonOutlier;
-use super::super::scatter::{JsonScatter, json_scatters};
 use super::quantiles;
 use crate::pipeline::{Confidence, Judgement, Outcome, PredictedPosition};
+use crate::report::document::{axes, finite};
+use crate::report::scatter::{JsonScatter, json_scatters};
+use calibrig_estimation::identification::Outlier;
 
 /// What speaks for and against an estimate.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -130,14 +130,6 @@ pub struct JsonPoint {
     pub sigma_m: Option<f64>,
 }
 
-fn finite(value: f64) -> Option<f64> {
-    value.is_finite().then_some(value)
-}
-
-fn axes(v: Vector3<f64>) -> [Option<f64>; 3] {
-    [finite(v.x), finite(v.y), finite(v.z)]
-}
-
 /// The document of a judgement.
 pub(in crate::report) fn json_judgement(outcome: &Outcome, judgement: &Judgement) -> JsonJudgement {
     let consistency = &judgement.consistency;
@@ -218,4 +210,45 @@ fn json_confidence(outcome: &Outcome, confidence: &Confidence) -> JsonConfidence
 
 fn point(place: &PredictedPosition) -> JsonPoint {
     JsonPoint { position_m: axes(place.position), sigma_m: finite(place.length()) }
+}
+
+/// An observation far off the others.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonOutlier {
+    /// Number of its pose.
+    pub pose: u32,
+    /// Name of its target, where there are several.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub target: Option<String>,
+    /// Name of its station, where there are several.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub station: Option<String>,
+    /// How far it is from where a fit without it predicts it, m.
+    #[serde(default)]
+    pub distance_m: Option<f64>,
+    /// How far it is turned from there, rad; absent where its orientation is not a gross error.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub turn_rad: Option<f64>,
+    /// The larger of the two in standard deviations of a coordinate.
+    pub size: Option<f64>,
+    /// What it still counts for in the fit, from 1 down to 0.
+    pub weight: Option<f64>,
+    /// The pose that it has exchanged its point with.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub exchanged_with: Option<u32>,
+}
+
+impl From<&Outlier> for JsonOutlier {
+    fn from(o: &Outlier) -> Self {
+        Self {
+            pose: o.pose,
+            target: o.target.clone(),
+            station: o.station.clone(),
+            distance_m: finite(o.distance),
+            turn_rad: o.turn.and_then(finite),
+            size: finite(o.size),
+            weight: finite(o.weight),
+            exchanged_with: o.exchanged_with,
+        }
+    }
 }

@@ -4,22 +4,23 @@ mod figures;
 mod json;
 
 pub use json::{
-    JsonConfidence, JsonCorrelation, JsonInfluence, JsonJudgement, JsonPattern, JsonPoint, JsonRegion,
-    JsonSupport,
+    JsonConfidence, JsonCorrelation, JsonInfluence, JsonJudgement, JsonOutlier, JsonPattern, JsonPoint,
+    JsonRegion, JsonSupport,
 };
 
 pub(super) use json::json_judgement;
 
 use maud::{Markup, PreEscaped, html};
 
-use self::figures::{map_figure, pattern_figure};
-use super::html::number;
-use super::parameters::{parameter_words, printed_unit};
-use super::scatter::scatter_words;
-use super::summary::{length_words, significant};
-use super::tables::{Ink, Style, printable, wrap};
-use super::{ReportError, counted};
+use self::figures::{MARKED, map_figure, pattern_figure};
 use crate::pipeline::{Confidence, Judgement, Outcome, PredictedPosition, SetKind};
+use crate::report::files::ReportError;
+use crate::report::plots::thinned_words;
+use crate::report::scatter::scatter_words;
+use crate::report::terminal::{Ink, Style};
+use crate::report::words::{
+    counted, length_words, number, parameter_words, printable, printed_unit, significant,
+};
 use calibrig_estimation::evaluation::{Cause, ResidualPattern};
 use calibrig_estimation::identification::{Mode, Outlier};
 use calibrig_model::ParameterId;
@@ -42,8 +43,7 @@ fn quantiles(map: &[PredictedPosition]) -> Option<[f64; 3]> {
     Some([lengths[last / 2], lengths[last * 95 / 100], lengths[last]])
 }
 
-const UNTESTED: &str =
-    "the residual is not searched for what the model lacks: what is wrong with the readings comes first";
+const UNTESTED: &str = "the residuals are not searched for patterns while single readings are wrong: correct or leave out what the warnings name, then fit again";
 
 /// Gross errors in what was held out.
 fn held_out_words(judgement: &Judgement) -> Vec<String> {
@@ -51,7 +51,11 @@ fn held_out_words(judgement: &Judgement) -> Vec<String> {
         let named: Vec<_> = outliers.iter().take(LISTED).map(ToString::to_string).collect();
         let more = outliers.len() - named.len();
         let more = if more > 0 { format!(", and {more} more") } else { String::new() };
-        format!("{} set, far off what the others say: {}{more}", kind.key(), named.join(", "))
+        format!(
+            "{} set, gross errors, far from what the other readings say: {}{more}; measure these poses again or leave them out",
+            kind.key(),
+            named.join(", ")
+        )
     };
     judgement.held_out.iter().map(words).collect()
 }
@@ -61,7 +65,7 @@ pub(super) fn judgement_lines(outcome: &Outcome, mode: Mode, style: Style) -> Ve
     let Some(judgement) = outcome.judgements.iter().find(|j| j.mode == mode) else { return Vec::new() };
     let mut lines = Vec::new();
     let mut say = |ink, words: &str, indent: &str| {
-        lines.extend(wrap(words, indent).iter().map(|l| style.paint(ink, l)));
+        lines.extend(style.told(ink, words, indent));
     };
     if let Some(confidence) = &judgement.confidence {
         let mut words = format!(
@@ -71,7 +75,9 @@ pub(super) fn judgement_lines(outcome: &Outcome, mode: Mode, style: Style) -> Ve
         );
         if let Some([median, _, most]) = quantiles(&confidence.map) {
             let (usual, worst) = (length_words(median), length_words(most));
-            words = format!("{words}; predicted position +- {usual} over the region, {worst} at worst");
+            words = format!(
+                "{words}; standard deviation (68 %) of a predicted position: median {usual} over the region, largest {worst}"
+            );
         }
         say(Ink::Dim, &words, "    ");
     }
@@ -124,6 +130,7 @@ pub(super) fn residual_section(outcome: &Outcome) -> Result<Markup, ReportError>
                     figcaption {
                         "Error (measured minus predicted, mm) of the identification set where it " (pattern.description)
                         ". The line joins the means of classes of equal width."
+                        (thinned_words(mode.errors.first().map_or(0, Vec::len), MARKED))
                         @if matches!(pattern.cause, Cause::Joint(_) | Cause::MotorTurn(_) | Cause::Approach(_)) {
                             " \u{201c}Along the motion\u{201d} is the direction in which this actuator moves the target in each pose."
                         }
@@ -137,8 +144,8 @@ pub(super) fn residual_section(outcome: &Outcome) -> Result<Markup, ReportError>
             section #residual {
                 h2 { "What the residual still contains" }
                 p {
-                    "A model that lacks nothing leaves residuals as large as the stated noise, and without a pattern. Patterns are looked for against every command, motor turn, "
-                    "approach direction, the payload, time, temperature and the pose before; one in a thousand such searches raises a false alarm."
+                    "A complete model leaves residuals as large as the stated noise and without a pattern. Patterns are searched against every command, every motor turn, "
+                    "the directions of approach, payload, time, temperature and the pose before. One search in a thousand finds a pattern where there is none."
                 }
                 @for part in &parts { (part) }
             }
@@ -153,14 +160,14 @@ fn verdict(judgement: &Judgement) -> Markup {
         @if !judgement.makes_sense {
             p { strong { (UNTESTED) "." } }
         } @else if consistency.shape.is_none() {
-            p { "Not tested: the fit leaves no degree of freedom." }
+            p { "Not tested: there are as many parameters as measured coordinates. Measure more poses." }
         } @else if consistency.is_consistent() {
-            p { "Nothing that chance does not explain." }
+            p { "The residuals are as large as stated, and show no pattern that chance does not make." }
         } @else if found.is_empty() && consistency.too_small() {
             p {
                 strong { "The noise is smaller than stated. " }
                 @if let Some(size) = consistency.size {
-                    "The residuals are " (significant(size.ratio())) " times what the stated noise explains, and have no pattern that was looked for."
+                    "The residuals are " (significant(size.ratio())) " times what the stated noise explains, and show no pattern. State the smaller noise: the intervals are wider than they need to be."
                 }
             }
         } @else {
@@ -169,7 +176,7 @@ fn verdict(judgement: &Judgement) -> Markup {
                 @if let Some(size) = consistency.size.filter(|_| consistency.too_large()) {
                     "The residuals are " (significant(size.ratio())) " times what the stated noise explains. "
                 }
-                @if found.is_empty() { "They have no pattern that was looked for." }
+                @if found.is_empty() { "They show no pattern, so that no term can be named: look at the readings and at the noise that is stated." } @else { "Identify a term for the strongest pattern below, or measure what it depends on." }
             }
         }
         @if !found.is_empty() {
@@ -189,17 +196,16 @@ pub(super) fn sure_section(outcome: &Outcome) -> Result<Markup, ReportError> {
         section #sure {
             h2 { "How sure" }
             p {
-                "One standard deviation of the predicted mean position of the target: what the parameters leave open, and what the machine does beside the model, as errors of single poses. The noise of a reading comes on top."
+                "How uncertain the predicted position of the target is: one standard deviation (68 %) of its 3-D error. It holds what the measurements leave open of the parameters, and what the machine does beside the model, as errors of single poses. It does not hold the noise of a reading."
             }
             (overview(&sure))
             @if let Some(map) = &map {
                 figure {
                     div.scroll { (PreEscaped(map)) }
                     figcaption {
-                        "Where the predicted position is sure, \u{201c}" (largest.mode.title()) "\u{201d}: three views of the base frame, over the box of joint variables that "
-                        "the measured poses span. The side of each square is in proportion to the largest standard deviation (of the 3-D error) "
-                        "in its cell; the widest is " (length_words(most)) "."
-                        @if confidence.out_of_reach > 0 { " The robot cannot take " (counted(confidence.out_of_reach, "pose")) " of the box." }
+                        "Uncertainty of the position predicted by \u{201c}" (largest.mode.title()) "\u{201d} in three views of the base frame, over the joint ranges of the measured poses. "
+                        "The wider a square, the larger the standard deviation (68 %) of the 3-D position in its cell; the widest is " (length_words(most)) "."
+                        @if confidence.out_of_reach > 0 { " The robot cannot reach " (counted(confidence.out_of_reach, "pose")) " of these ranges." }
                     }
                 }
             }
@@ -237,7 +243,7 @@ fn overview(sure: &[(&Judgement, &Confidence)]) -> Markup {
                 }
             }
         }
-        p.note { "Poses left out: each in turn, predicted by the others (to first order). Where the residuals contradict what is stated, that error and not the standard deviation is how far off predictions are." }
+        p.note { "RMS error, poses left out: each pose in turn is predicted from the others (to first order). Where the residuals contradict the stated noise, trust this error and not the standard deviations." }
     }
 }
 
@@ -259,7 +265,7 @@ fn weakest(confidence: &Confidence) -> Markup {
     held.sort_by(|a, b| a.data_share.total_cmp(&b.data_share));
     html! {
         @if held.is_empty() {
-            p { "No parameter of the robot has a prior: all of them rest on the measurements alone." }
+            p { "No parameter of the robot has a prior: all rest on the measurements alone." }
         } @else {
             div.scroll { table {
                 caption { "Weakest supported by the data" }
@@ -318,8 +324,8 @@ fn influential(outcome: &Outcome, confidence: &Confidence) -> Markup {
             } }
         } }
         p.note {
-            "Leverage: how many parameters a pose determines by itself, 0 to 3. Cook's distance: how far, in its own uncertainty, the estimate would move without the pose; "
-            "about 1 is much."
+            "Leverage: how many parameters a pose determines by itself, from 0 to 3. Cook's distance: how far the estimate would move without the pose, in units of its uncertainty. "
+            "From about 1 on, measure the pose once more."
         }
     }
 }

@@ -2,10 +2,11 @@
 
 use serde_json::{Value, json};
 
-use super::ReportError;
 use crate::pose_plan::PosePlan;
+use crate::report::document::axes;
+use crate::report::document::{finite, json_text};
+use crate::report::files::ReportError;
 use calibrig_estimation::planning::{Accuracy, Needed, OrderCost, Spread};
-use calibrig_model::nalgebra::Vector3;
 use calibrig_model::{JointKind, Unit};
 
 /// The schema of `plan.json`.
@@ -13,13 +14,7 @@ pub const PLAN_SCHEMA: &str = "calibrig.plan/1";
 
 /// The text of `plan.json`.
 pub fn plan_json_text(plan: &PosePlan) -> Result<String, ReportError> {
-    let mut text = serde_json::to_string_pretty(&json_plan(plan))?;
-    text.push('\n');
-    Ok(text)
-}
-
-fn finite(value: f64) -> Option<f64> {
-    value.is_finite().then_some(value)
+    json_text(&json_plan(plan))
 }
 
 fn spread(spread: &Spread) -> Value {
@@ -46,10 +41,6 @@ fn order(cost: &OrderCost) -> Value {
         "drift_taken": finite(cost.drift),
         "cost_s": finite(cost.total),
     })
-}
-
-fn place(place: &Vector3<f64>) -> [Option<f64>; 3] {
-    [finite(place.x), finite(place.y), finite(place.z)]
 }
 
 fn needed(needed: &Needed) -> Value {
@@ -103,7 +94,7 @@ pub fn json_plan(plan: &PosePlan) -> Value {
         .poses
         .iter()
         .map(|own| {
-            json!({ "pose": own.pose, "joints": own.joints, "command": own.command, "approach": own.approach, "target_m": place(&own.target) })
+            json!({ "pose": own.pose, "joints": own.joints, "command": own.command, "approach": own.approach, "target_m": axes(own.target) })
         })
         .collect();
     let o = &figures.observability;
@@ -121,7 +112,7 @@ pub fn json_plan(plan: &PosePlan) -> Value {
         "region": plan.region,
         "figure": plan.figure.key(),
         "joints": joints,
-        "trackers_m": plan.trackers.iter().map(place).collect::<Vec<_>>(),
+        "trackers_m": plan.trackers.iter().copied().map(axes).collect::<Vec<_>>(),
         "candidates": {
             "from": plan.source,
             "looked_at": plan.looked,

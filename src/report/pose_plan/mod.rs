@@ -9,10 +9,10 @@ pub use page::plan_html;
 
 use std::path::Path;
 
-use super::parameters::{parameter_words, printed_unit};
-use super::tables::{Ink, Style, printable, wrap};
-use super::{ReportError, counted, stage};
 use crate::pose_plan::{PosePlan, plan_csv};
+use crate::report::files::{ReportError, write_all};
+use crate::report::terminal::{Ink, Style, wrap};
+use crate::report::words::{counted, parameter_words, printable, printed_unit};
 use calibrig_estimation::planning::OrderCost;
 
 /// Parameters that are named because the poses tell least of them.
@@ -20,15 +20,8 @@ const WEAKEST: usize = 6;
 
 /// Writes `plan.csv`, `plan.json` and `plan.html` to `folder`, which exists. All are complete before one takes its name.
 pub fn write_plan(plan: &PosePlan, folder: &Path) -> Result<(), ReportError> {
-    let staged = [
-        stage(folder, "plan.html", &plan_html(plan)?)?,
-        stage(folder, "plan.json", &plan_json_text(plan)?)?,
-        stage(folder, "plan.csv", &plan_csv(plan))?,
-    ];
-    for (file, path) in staged {
-        file.persist(&path).map_err(|e| ReportError::Write { path, source: e.error })?;
-    }
-    Ok(())
+    let (page, document) = (plan_html(plan)?, plan_json_text(plan)?);
+    write_all(folder, &[("plan.html", page), ("plan.json", document), ("plan.csv", plan_csv(plan))])
 }
 
 /// Micrometres of a standard deviation, with the digits that it is worth.
@@ -74,16 +67,19 @@ fn sentences(plan: &PosePlan) -> Vec<String> {
     }
     let of_machine = plan.figures.accuracy.map_or(0.0, |accuracy| plan.figure.of(&accuracy.of_machine));
     lines.push(if of_machine > 0.0 {
-        format!("Of that the machine scatters by {} um from approach to approach, whatever is calibrated.", um(of_machine))
+        format!("Of that, {} um are the machine's scatter from approach to approach, which no calibration removes.", um(of_machine))
     } else {
-        "Nothing is stated of what the machine does beside its model (--actuator-sigma): the real error is larger by that.".to_owned()
+        "The scatter of the machine from approach to approach is not stated, and the real error is larger by it: state it with --actuator-sigma.".to_owned()
     });
     if let Some(knee) = plan.growth.knee {
-        lines.push(format!("The curve has its knee at {}: further ones help less.", counted(knee, "pose")));
+        lines.push(format!("The curve bends at {}: further poses help less.", counted(knee, "pose")));
     }
     lines.extend(plan.needed_words().map(|words| format!("Accuracy: {words}.")));
     if !plan.settled {
-        lines.push("The search ended before no exchange helped: another one could be better.".to_owned());
+        lines.push(
+            "The search was stopped before it had settled: run it longer, and a better plan may be found."
+                .to_owned(),
+        );
     }
     lines
 }

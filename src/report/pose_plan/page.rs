@@ -1,82 +1,80 @@
 //! `plan.html`: one file that opens anywhere, without scripts and without anything fetched.
 
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{Markup, PreEscaped, html};
 
 use super::figure::{curve, joints, places};
-use super::{ReportError, WEAKEST, candidate_words, compared, sentences, um};
+use super::{WEAKEST, candidate_words, compared, sentences, um};
 use crate::pose_plan::PosePlan;
-use crate::report::html::{head, key};
-use crate::report::parameters::{parameter_words, printed_unit};
+use crate::report::files::ReportError;
+use crate::report::markup::{key, page};
 use crate::report::plots::LOOKS;
+use crate::report::words::{parameter_words, printed_unit};
 use calibrig_estimation::planning::OrderCost;
 use calibrig_model::JointKind;
+
+/// Poses that are listed; more are in plan.csv.
+const LISTED: usize = 500;
 
 /// The page of a plan.
 pub fn plan_html(plan: &PosePlan) -> Result<String, ReportError> {
     let (curve, places, joints) = (curve(plan)?, places(plan)?, joints(plan)?);
-    let page = html! {
-        (DOCTYPE)
-        html lang="en" {
-            (head(&format!("Plan: {}", plan.name)))
-            body {
-                (header(plan))
-                main {
-                    section {
-                        h2 { "Summary" }
-                        ul { @for line in sentences(plan) { li { (line) } } }
-                        div.scroll { table {
-                            thead { tr { th {} th { "poses" } th { "calibration, \u{b5}m" } th { "with the machine, \u{b5}m" } } }
-                            tbody { @for own in compared(plan) {
-                                tr { th scope="row" { (own.name) } td { (own.poses) } td { (um(own.of_parameters)) } td { (um(own.with_machine)) } }
-                            } }
-                        } }
-                        p.note { "Standard deviations of the predicted place of the target, 3-D, " (plan.figure.words()) ": what the calibration leaves open of the robot's mean place, and with what the machine scatters by from approach to approach. Of random poses the median." }
-                        @if !plan.remarks.is_empty() { ul.warnings { @for line in &plan.remarks { li { (line) } } } }
+    let body = html! {
+        (header(plan))
+        main {
+            section {
+                h2 { "Summary" }
+                ul { @for line in sentences(plan) { li { (line) } } }
+                div.scroll { table {
+                    thead { tr { th {} th { "poses" } th { "calibration, \u{b5}m" } th { "with the machine, \u{b5}m" } } }
+                    tbody { @for own in compared(plan) {
+                        tr { th scope="row" { (own.name) } td { (own.poses) } td { (um(own.of_parameters)) } td { (um(own.with_machine)) } }
+                    } }
+                } }
+                p.note { "Standard deviations of the predicted place of the target, 3-D, " (plan.figure.words()) ". \u{201c}Calibration\u{201d} is what the parameters leave open; \u{201c}with the machine\u{201d} adds its scatter from approach to approach. For random poses: the median." }
+                @if !plan.remarks.is_empty() { ul.warnings { @for line in &plan.remarks { li { (line) } } } }
+            }
+            section {
+                h2 { "How many poses" }
+                figure {
+                    div.legend {
+                        span { (key(&LOOKS[2])) "best plans with the machine's scatter, the knee in a circle" }
+                        span { (key(&LOOKS[1])) "what their calibration leaves open" }
+                        @if !plan.random.is_empty() { span { (key(&LOOKS[0])) "random poses of the region, median, of both" } }
+                        span { (key(&LOOKS[4])) "all candidates, as often as one likes (dashed)" }
+                        @if plan.accuracy.is_some() { span { (key(&LOOKS[3])) "asked for (dashed)" } }
                     }
-                    section {
-                        h2 { "How many poses" }
-                        figure {
-                            div.legend {
-                                span { (key(&LOOKS[2])) "best plans with the machine's scatter, the knee in a circle" }
-                                span { (key(&LOOKS[1])) "what their calibration leaves open" }
-                                @if !plan.random.is_empty() { span { (key(&LOOKS[0])) "random poses of the region, median, of both" } }
-                                span { (key(&LOOKS[4])) "all candidates, as often as one likes (dashed)" }
-                                @if plan.accuracy.is_some() { span { (key(&LOOKS[3])) "asked for (dashed)" } }
-                            }
-                            div.scroll { (PreEscaped(curve)) }
-                            figcaption { "Standard deviation of predicted places of the target, with what the machine does beside its model: " (plan.figure.words()) ", in " (plan.region) "." }
-                        }
-                        (growth_table(plan))
+                    div.scroll { (PreEscaped(curve)) }
+                    figcaption { "Standard deviation of predicted places of the target, with what the machine does beside its model: " (plan.figure.words()) ", in " (plan.region) "." }
+                }
+                (growth_table(plan))
+            }
+            section {
+                h2 { "Where" }
+                figure {
+                    div.legend {
+                        span { (key(&LOOKS[2])) "planned" }
+                        span { (key(&LOOKS[4])) "the working region" }
+                        @if !plan.trackers.is_empty() { span { (key(&LOOKS[0])) "tracker" } }
+                        span { "dots: candidates" }
                     }
-                    section {
-                        h2 { "Where" }
-                        figure {
-                            div.legend {
-                                span { (key(&LOOKS[2])) "planned" }
-                                span { (key(&LOOKS[4])) "the working region" }
-                                @if !plan.trackers.is_empty() { span { (key(&LOOKS[0])) "tracker" } }
-                                span { "dots: candidates" }
-                            }
-                            div.scroll { (PreEscaped(places)) }
-                            figcaption { "Places of the target in the base frame." }
-                        }
-                        figure {
-                            div.legend { span { (key(&LOOKS[2])) "planned" } span { (key(&LOOKS[4])) "the working region" } }
-                            div.scroll { (PreEscaped(joints)) }
-                            figcaption { "Every joint from its lower to its upper limit." }
-                        }
-                        p { (candidate_words(plan)) }
-                        @if !plan.refused.is_empty() {
-                            table { tbody { @for (why, count) in &plan.refused { tr { th scope="row" { (why) } td { (count) } } } } }
-                        }
-                    }
-                    (parameter_section(plan))
-                    (pose_section(plan))
+                    div.scroll { (PreEscaped(places)) }
+                    figcaption { "Places of the target in the base frame." }
+                }
+                figure {
+                    div.legend { span { (key(&LOOKS[2])) "planned" } span { (key(&LOOKS[4])) "the working region" } }
+                    div.scroll { (PreEscaped(joints)) }
+                    figcaption { "Every joint from its lower to its upper limit." }
+                }
+                p { (candidate_words(plan)) }
+                @if !plan.refused.is_empty() {
+                    table { tbody { @for (why, count) in &plan.refused { tr { th scope="row" { (why) } td { (count) } } } } }
                 }
             }
+            (parameter_section(plan))
+            (pose_section(plan))
         }
     };
-    Ok(page.into_string())
+    Ok(page(&format!("Plan: {}", plan.name), &body))
 }
 
 fn header(plan: &PosePlan) -> Markup {
@@ -121,7 +119,7 @@ fn parameter_section(plan: &PosePlan) -> Markup {
     html! {
         section {
             h2 { "Parameters" }
-            p { "What these poses tell least of, by what a standard deviation displaces the readings:" }
+            p { "The parameters that these poses determine least, ordered by how far one standard deviation moves the readings:" }
             div.scroll { table {
                 thead { tr { th { "parameter" } th { "standard deviation" } th { "unit" } th {} } }
                 tbody {
@@ -169,8 +167,8 @@ fn pose_section(plan: &PosePlan) -> Markup {
                 tbody { (order_row("as the candidates come", &plan.order.before)) (order_row("as planned", &plan.order.after)) }
             } }
             p.note {
-                "Driving: the sum of the times that the slowest joint needs. Imbalance: sum over the joints of the squared difference of approaches from either side. "
-                "Drift taken: the part of a steady drift that a fit would take for parameters. An arrow is the direction from which a joint comes to the pose."
+                "Driving: the sum over all moves of the time of the slowest joint. Imbalance: how unequally the joints approach from their two sides (sum of squared differences). "
+                "Drift taken: the part of a steady drift that a fit would mistake for parameters. An arrow shows from which side a joint comes to the pose."
             }
             div.scroll { table {
                 thead { tr {
@@ -182,7 +180,7 @@ fn pose_section(plan: &PosePlan) -> Markup {
                     th { "x, m" } th { "y" } th { "z" }
                 } }
                 tbody {
-                    @for own in &plan.poses {
+                    @for own in plan.poses.iter().take(LISTED) {
                         tr {
                             th scope="row" { (own.pose) }
                             @for joint in &joints {
@@ -193,6 +191,7 @@ fn pose_section(plan: &PosePlan) -> Markup {
                     }
                 }
             } }
+            @if plan.poses.len() > LISTED { p.note { "And " (plan.poses.len() - LISTED) " more: plan.csv." } }
         }
     }
 }

@@ -3,21 +3,20 @@
 use std::ops::Range;
 
 use plotters::prelude::*;
-use plotters::style::text_anchor::{HPos, Pos, VPos};
+use plotters::style::text_anchor::{HPos, VPos};
 
-use super::words::cut;
-use crate::report::ReportError;
-use crate::report::plots::{
+use super::files::ReportError;
+use super::plots::{
     Area, Chart, Drawn, GRID, INK, Look, WIDTH, centred, drawable, finite_range, ink, marker, one_two_five,
-    padded, px, svg, text_style, values_below, vertical_ticks,
+    padded, px, svg, text_at, values_below, vertical_ticks, whisker,
 };
+use super::words::cut;
 
 const ROW: i32 = 22;
-const NAMES: i32 = 216;
 const TITLE: i32 = 24;
 const AXIS: i32 = 26;
 /// Values this far from each other are shown on a logarithmic axis.
-const FAR: f64 = 20.0;
+pub(super) const FAR: f64 = 20.0;
 /// Values below a logarithmic axis.
 const MOST_TICKS: usize = 5;
 /// Characters of a name that have room.
@@ -40,14 +39,32 @@ impl Dot {
     }
 }
 
+impl Dot {
+    /// A figure alone.
+    pub fn at(look: Look, value: f64) -> Self {
+        Self { look, value, interval: None, band: None }
+    }
+}
+
 /// One figure of every row.
 pub(super) struct Panel {
     pub title: String,
     /// What it is held against; bars begin there.
     pub zero: f64,
     pub bars: bool,
+    /// How far values are from each other for a logarithmic axis.
+    pub far: f64,
+    /// A bar across the row, such as at the truth; empty without any.
+    pub marks: Vec<Option<f64>>,
     /// A cell a row.
     pub rows: Vec<Vec<Dot>>,
+}
+
+impl Panel {
+    /// Of figures beside zero, on an axis that is not logarithmic.
+    pub fn of(title: &str, zero: f64, rows: Vec<Vec<Dot>>) -> Self {
+        Self { title: title.to_owned(), zero, bars: false, far: f64::INFINITY, marks: Vec::new(), rows }
+    }
 }
 
 /// As many lines of a logarithmic axis as have room for their values: decades, of many each second one.
@@ -71,15 +88,22 @@ pub(super) fn dots(
     let slots = panels.iter().flat_map(|p| &p.rows).map(Vec::len).max().unwrap_or(1);
     let row = ROW.max(9 * i32::try_from(slots).unwrap_or(1));
     let height = row * i32::try_from(names.len()).unwrap_or(1).clamp(1, 1000) + 8;
+    let longest = names.iter().map(|name| name.chars().count().min(NAME)).max().unwrap_or(0);
+    let room = 16 + 13 * i32::try_from(longest).unwrap_or(0) / 2;
     svg(figure, label, (WIDTH, TITLE + height + AXIS + 2), |area| {
-        let (_, body) = area.split_horizontally(px(NAMES));
-        for (place, (panel, cell)) in
-            panels.iter().zip(body.split_evenly((1, panels.len().max(1)))).enumerate()
-        {
+        let (_, body) = area.split_horizontally(px(room));
+        // The first of many panels, which tells all modes, has more room than the others.
+        let cells = if panels.len() > 3 {
+            let (first, rest) = body.split_horizontally(30.0.percent_width());
+            std::iter::once(first).chain(rest.split_evenly((1, panels.len() - 1))).collect()
+        } else {
+            body.split_evenly((1, panels.len().max(1)))
+        };
+        for (place, (panel, cell)) in panels.iter().zip(cells).enumerate() {
             let (title, rest) = cell.split_vertically(px(TITLE));
             centred(&title, &panel.title)?;
             let (plot, _) = rest.split_vertically(px(height + AXIS));
-            panel.draw(&plot, (place == 0).then_some((area, names)))?;
+            panel.draw(&plot, (place == 0).then_some((area, names, px(room - 4))))?;
         }
         Ok(())
     })
@@ -99,7 +123,13 @@ impl Scale {
 
 impl Panel {
     fn values(&self) -> impl Iterator<Item = f64> {
-        self.rows.iter().flatten().flat_map(Dot::ends).chain([self.zero]).filter(|value| drawable(*value))
+        self.rows
+            .iter()
+            .flatten()
+            .flat_map(Dot::ends)
+            .chain(self.marks.iter().copied().flatten())
+            .chain([self.zero])
+            .filter(|value| drawable(*value))
     }
 
     /// The axis, and the values at which a logarithmic one has lines.
@@ -107,7 +137,7 @@ impl Panel {
         let least =
             self.rows.iter().flatten().map(|dot| dot.value).chain([self.zero]).fold(f64::INFINITY, f64::min);
         let most = self.values().fold(0.0, f64::max);
-        if !self.bars && least > 0.0 && most / least > FAR {
+        if !self.bars && least > 0.0 && most / least > self.far {
             let ticks = one_two_five(least, most);
             if let [low, .., high] = ticks[..] {
                 return (Scale { is_log: true, low }, low.log10()..high.log10(), few(ticks));
@@ -116,7 +146,7 @@ impl Panel {
         (Scale { is_log: false, low: 0.0 }, padded(&finite_range(self.values())), Vec::new())
     }
 
-    fn draw(&self, body: &Area, names: Option<(&Area, &[String])>) -> Drawn {
+    fn draw(&self, body: &Area, names: Option<(&Area, &[String], i32)>) -> Drawn {
         let (scale, x, ticks) = self.axis();
         let bottom = self.rows.len().max(1) as f64 - 0.5;
         let mut chart = ChartBuilder::on(body)
@@ -146,11 +176,14 @@ impl Panel {
         plot.draw(&PathElement::new(vec![(zero, bottom), (zero, -0.5)], ink(2)))?;
         for (index, row) in self.rows.iter().enumerate() {
             let y = index as f64;
-            if let Some((area, names)) = names {
+            if let Some((area, names, right)) = names {
                 let (_, at) = plot.map_coordinate(&(x.start, y));
-                let style = text_style().pos(Pos::new(HPos::Right, VPos::Center));
                 let name = names.get(index).map_or_else(String::new, |name| cut(name, NAME));
-                area.draw(&Text::new(name, (px(NAMES - 4), at - area.get_base_pixel().1), style))?;
+                text_at(area, &name, (right, at - area.get_base_pixel().1), (HPos::Right, VPos::Center))?;
+            }
+            if let Some(mark) = self.marks.get(index).copied().flatten().filter(|mark| drawable(*mark)) {
+                let at = scale.at(mark);
+                plot.draw(&PathElement::new(vec![(at, y - 0.42), (at, y + 0.42)], ink(5)))?;
             }
             self.draw_row(&chart, &scale, (row, y))?;
         }
@@ -172,20 +205,10 @@ impl Panel {
                 plot.draw(&Rectangle::new(corners, dot.look.light.mix(0.35).filled()))?;
             }
             if let Some((low, high)) = dot.interval {
-                whisker(chart, &dot.look, [scale.at(low), scale.at(high)], y)?;
+                whisker(chart, dot.look.light.stroke_width(3), [scale.at(low), scale.at(high)], y)?;
             }
             plot.draw(&marker(&dot.look, (at, y), 7))?;
         }
         Ok(())
     }
-}
-
-fn whisker(chart: &Chart, look: &Look, ends: [f64; 2], y: f64) -> Drawn {
-    let style = look.light.stroke_width(3);
-    let plot = chart.plotting_area();
-    plot.draw(&PathElement::new(ends.map(|x| (x, y)).to_vec(), style))?;
-    for x in ends {
-        plot.draw(&(EmptyElement::at((x, y)) + PathElement::new(vec![(0, -5), (0, 5)], style)))?;
-    }
-    Ok(())
 }

@@ -275,7 +275,7 @@ pub(super) fn measured() -> Outcome {
     ];
     outcome.command = Some(format!(
         "calibrig identify --model {} --measurements grid.csv --out DIR",
-        super::quoted(&format!("{HOSTILE}.toml"))
+        crate::report::quoted(&format!("{HOSTILE}.toml"))
     ));
     outcome.registration.how = format!("best fit {HOSTILE}");
     outcome.registration.rms = f64::NAN;
