@@ -8,8 +8,8 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use super::{CliError, Verdict, print};
 use calibrig_recording::{
-    EstimateReport, FaultyPart, Health, Inspection, ProvenanceReport, ProvenanceState, RecordingError, SetReport,
-    State, TopicReport, inspect,
+    EstimateReport, FaultyPart, Health, Inspection, ProvenanceReport, ProvenanceState, RecordingError,
+    SetReport, State, TopicReport, inspect,
 };
 
 /// Say what is in a recording, or in any MCAP file, and whether it is sound

@@ -17,13 +17,7 @@ fn it_breaks_off() {
     let (sandbox, bytes) = recorded();
     for length in [8, 9, bytes.len() / 3, bytes.len() / 2, bytes.len() - 1] {
         sandbox.write("r.mcap", &bytes[..length]);
-        assert_refused(
-            &sandbox,
-            &REPLAY,
-            "r.mcap: ",
-            "ends before its footer",
-            "a complete file",
-        );
+        assert_refused(&sandbox, &REPLAY, "r.mcap: ", "ends before its footer", "a complete file");
     }
 }
 
@@ -150,7 +144,13 @@ fn nothing_can_be_saved_of_it() {
         );
     }
     sandbox.write("r.mcap", b"\x89MCAP0\r\n\x01\x00");
-    assert_refused(&sandbox, &RECOVER, "r.mcap holds no message", "2 are not readable", "no new file is written");
+    assert_refused(
+        &sandbox,
+        &RECOVER,
+        "r.mcap holds no message",
+        "2 are not readable",
+        "no new file is written",
+    );
 }
 
 #[test]
