@@ -11,7 +11,7 @@ use calibrig::measurement::{MeasurementSet, Reading};
 use calibrig::model::ParameterId;
 use calibrig::nalgebra::Vector3;
 use calibrig::plant::{AsBuilt, Plant, SettleOptions, effects::Effects};
-use calibrig::random::{Source, stream};
+use calibrig::random::{StreamSource, stream};
 use calibrig::tracker::{ErrorLine, Instrument, LaserTracker, Shot};
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -32,7 +32,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (transverse, range) = (line(15e-6, 6e-6), line(10e-6, 0.3e-6));
     let instrument = Instrument::of_noise(transverse, range, 0.125);
     let tracker = LaserTracker::levelled(instrument, Vector3::new(2.5, 0.5, 0.4), 0.0, &Vector3::z());
-    let mut noise = stream(1, 0, Source::IdentificationNoise);
+    let mut noise = stream(1, 0, StreamSource::IdentificationNoise);
     let (mut points, mut readings) = (Vec::new(), Vec::new());
     for command in structural_poses(&robot.kinematics, 80) {
         let reading = tracker.measure(&plant.settle(&command)?.target, &Shot::default(), &mut noise)?;

@@ -16,7 +16,7 @@ mod steady;
 mod swept;
 mod truth;
 
-pub use ablation::{AblatedPart, Ablation, AblationRows, Part, ablate};
+pub use ablation::{AblatedPart, Ablation, AblationRows, MachinePart, ablate};
 pub use acceptance::{AcceptanceOutcome, Finding, Ratios, Test, TestOutcome, TestedKind, test_instruments};
 pub(crate) use bounds::information_at_truth;
 pub use bounds::{TruthBounds, bounds_at_truth};

@@ -20,7 +20,7 @@ use calibrig_estimation::identification::{
     Explanation, Finding, FrameChoice, IdentifiabilityReport, Mode, TargetChoice, explain,
     identifiability_of, neighbour_axis_rules, reachable_poses, spectrum,
 };
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::{CalibrationModel, KinematicModel, ModelError, ParameterId};
 
 /// Say which parameters position measurements can determine: rank, dependent groups, weak directions, and what would
@@ -182,7 +182,7 @@ fn question(args: &Args) -> Result<Question, CliError> {
              full poses",
         );
     }
-    let mut rng = stream(scenario.seed, 0, Source::IdentificationPoses);
+    let mut rng = stream(scenario.seed, 0, StreamSource::IdentificationPoses);
     let target = scenario.robot.target().unwrap_or_else(Vector3::zeros);
     let mut poses = scenario.listed[0].clone().unwrap_or_else(|| {
         (0..scenario.identification_poses).map(|_| scenario.region.draw(&mut rng)).collect::<Vec<_>>()

@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::{HandoverError, Region};
 use calibrig_estimation::identification::{CalibratedRobot, Mode, PredictionError, Predictor};
 use calibrig_model::geometry::Transform;
-use calibrig_model::random::{Source, stream_at};
+use calibrig_model::random::{StreamSource, stream_at};
 use calibrig_model::{CalibrationModel, PoseQuery};
 
 /// Poses to which offsets are fitted, and others at which all losses are evaluated.
@@ -75,7 +75,7 @@ impl Poses {
             if known.len() == wanted {
                 break;
             }
-            let mut random = stream_at(0, 0, Source::Handover, index as u64);
+            let mut random = stream_at(0, 0, StreamSource::Handover, index as u64);
             let mut within = |(low, high): &(&f64, &f64)| **low + (**high - **low) * random.random::<f64>();
             let command: Vec<f64> = bounds.iter().map(&mut within).collect();
             let side = |_: &(&f64, &f64)| if random.random::<bool>() { 1 } else { -1 };

@@ -11,7 +11,7 @@ use calibrig_plant::tracker::Conditions;
 
 /// A part of the machine and of its measurement that can be removed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Part {
+pub enum MachinePart {
     /// A non-geometric error.
     Effect(EffectKind),
     /// The errors of the elbow's four-bar.
@@ -34,7 +34,7 @@ pub enum Part {
     Instrument,
 }
 
-impl Part {
+impl MachinePart {
     /// All parts, those of the structure first.
     pub fn all() -> Vec<Self> {
         let structure = [
@@ -181,7 +181,7 @@ pub type AblationRows = Vec<Vec<Option<AccuracyRow>>>;
 #[derive(Debug, Clone, PartialEq)]
 pub struct AblatedPart {
     /// Which.
-    pub part: Part,
+    pub part: MachinePart,
     /// Its rows, or why there are none.
     pub rows: Result<AblationRows, String>,
     /// The modes whose estimate is not sound ([`Estimate::is_sound`](calibrig_estimation::identification::Estimate::is_sound)): their rows need a second look.
@@ -217,7 +217,7 @@ pub fn ablate(
     scenario: &Scenario,
     seed: u64,
     complete: &Outcome,
-    mut progress: impl FnMut(usize, usize, Part),
+    mut progress: impl FnMut(usize, usize, MachinePart),
 ) -> Ablation {
     let scenario = &*scenario.of_trial(seed, 0);
     let identified: Vec<_> = complete
@@ -226,7 +226,7 @@ pub fn ablate(
         .find_map(|mode| mode.estimate.as_ref())
         .map(|estimate| estimate.parameters.iter().map(|p| p.id).collect())
         .unwrap_or_default();
-    let runs: Vec<_> = Part::all()
+    let runs: Vec<_> = MachinePart::all()
         .into_iter()
         .map(|part| (part, part.removed(scenario, &identified)))
         .filter(|(_, changed)| {
@@ -307,57 +307,57 @@ mod tests {
     fn removing_a_part_changes_what_it_says_and_nothing_else() {
         let full = machine();
         let nominal = full.robot.model.statics.clone().expect("statics");
-        for part in Part::all() {
+        for part in MachinePart::all() {
             let without = part.removed(&full, &identified());
             assert_eq!(part.removed(&without, &identified()), without, "{part:?} twice");
             let (mut real, mut model) = (without.as_built.clone(), without.robot.model.clone());
             match part {
-                Part::Effect(kind) => {
+                MachinePart::Effect(kind) => {
                     assert!(!real.effects.has(kind));
                     real.effects = full.as_built.effects.clone();
                 }
-                Part::Linkage => {
+                MachinePart::Linkage => {
                     assert_eq!(real.actuators, model.actuators);
                     assert_ne!(real.actuators, full.as_built.actuators);
                     real.actuators = full.as_built.actuators.clone();
                 }
-                Part::Geometry => {
+                MachinePart::Geometry => {
                     assert_eq!(real.kinematics.links[1].beta, 0.0);
                     assert_eq!(real.kinematics.links[3].theta, full.as_built.kinematics.links[3].theta);
                     assert_ne!(real.kinematics.links[3].theta, model.kinematics.links[3].theta);
                     real.kinematics = full.as_built.kinematics.clone();
                 }
-                Part::Drives | Part::Bearings | Part::Links => {
+                MachinePart::Drives | MachinePart::Bearings | MachinePart::Links => {
                     let statics = model.statics.take().expect("statics");
-                    assert_eq!(statics.drive_stiffness[2].is_infinite(), part == Part::Drives);
-                    assert_eq!(statics.bearings[2].stiffness[3].is_infinite(), part == Part::Bearings);
+                    assert_eq!(statics.drive_stiffness[2].is_infinite(), part == MachinePart::Drives);
+                    assert_eq!(statics.bearings[2].stiffness[3].is_infinite(), part == MachinePart::Bearings);
                     let beam = real.statics.beams[2].as_ref().expect("the upper arm's");
-                    assert_eq!(beam.segments[0].section.torsion.is_infinite(), part == Part::Links);
+                    assert_eq!(beam.segments[0].section.torsion.is_infinite(), part == MachinePart::Links);
                     assert!(beam.segments[0].section.mass_per_length > 0.0);
                     assert_eq!(real.statics.bodies, full.as_built.statics.bodies);
                     real.statics = full.as_built.statics.clone();
                     model.statics = Some(nominal.clone());
                 }
-                Part::Statics => {
+                MachinePart::Statics => {
                     assert_eq!(real.statics.drive_stiffness, nominal.drive_stiffness);
                     assert_eq!(real.statics.bodies, nominal.bodies);
                     assert_eq!(real.statics.loads, full.as_built.statics.loads);
                     assert_eq!(real.statics.gravity, full.as_built.statics.gravity);
                     real.statics = full.as_built.statics.clone();
                 }
-                Part::Tilt => {
+                MachinePart::Tilt => {
                     assert_eq!(real.statics.gravity, nominal.gravity);
                     real.statics.gravity = full.as_built.statics.gravity;
                 }
-                Part::Loads => {
+                MachinePart::Loads => {
                     assert_eq!(real.statics.loads, nominal.loads);
                     real.statics.loads.clone_from(&full.as_built.statics.loads);
                 }
-                Part::Instrument => {
+                MachinePart::Instrument => {
                     assert!(!without.tracker.instrument.noise && full.tracker.instrument.noise);
                 }
             }
-            assert_eq!(without.tracker == full.tracker, part != Part::Instrument, "{part:?}");
+            assert_eq!(without.tracker == full.tracker, part != MachinePart::Instrument, "{part:?}");
             assert_eq!((real, model), (full.as_built.clone(), full.robot.model.clone()), "{part:?}");
         }
     }
@@ -369,7 +369,7 @@ mod tests {
         let mut told = Vec::new();
         let ablation = ablate(&scenario, 3, &outcome, |done, all, part| told.push((done, all, part)));
         let removed: Vec<_> = ablation.parts.iter().map(|part| part.part).collect();
-        assert!(!removed.contains(&Part::Effect(EffectKind::Thermal)), "it has none");
+        assert!(!removed.contains(&MachinePart::Effect(EffectKind::Thermal)), "it has none");
         assert_eq!(told.iter().map(|t| t.2).collect::<Vec<_>>(), removed);
         assert_eq!(told[1].0, 1);
         for (rows, mode) in ablation.complete.iter().zip(&outcome.modes) {
@@ -377,7 +377,7 @@ mod tests {
         }
         scenario.as_built.effects.backlash = None;
         let never = run(&scenario, 3, |_, _| {}).expect("a run");
-        let part = ablation.parts.iter().find(|part| part.part == Part::Effect(EffectKind::Backlash));
+        let part = ablation.parts.iter().find(|part| part.part == MachinePart::Effect(EffectKind::Backlash));
         let part = part.expect("it has backlash");
         let rows = part.rows.clone().expect("rows");
         for mode in &never.modes {

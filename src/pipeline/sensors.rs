@@ -18,7 +18,7 @@ use calibrig_model::measurement::{
     CombineError, MeasurementSet, Observation, PoseReading, Reading, SetOutcome, SphericalReading, Station,
     Target, TargetOrientation, combine,
 };
-use calibrig_model::random::{Source, stream_at};
+use calibrig_model::random::{StreamSource, stream_at};
 use calibrig_model::statistics::normal_quantile;
 
 use calibrig_plant::session::SessionPlan;
@@ -148,14 +148,14 @@ impl Study<'_> {
 
     fn rng(&self, set: u64, pose: usize, point: u64) -> ChaCha8Rng {
         let pose = u64::try_from(pose).unwrap_or(u64::MAX >> 34);
-        stream_at(self.seed, 0, Source::SensorComparison, set << 34 | pose << 2 | point)
+        stream_at(self.seed, 0, StreamSource::SensorComparison, set << 34 | pose << 2 | point)
     }
 
     /// The statements about the targets, the same for all sets.
     fn targets(&self, sensor: Sensor) -> Vec<Target> {
         let covariance = self.scenario.target_covariance;
         let sigma = covariance[(0, 0)].sqrt();
-        let mut rng = stream_at(self.seed, 0, Source::SensorComparison, 3 << 34);
+        let mut rng = stream_at(self.seed, 0, StreamSource::SensorComparison, 3 << 34);
         let error = if self.scenario.tracker.instrument.noise { sigma } else { 0.0 };
         let point = |(place, name): (Vector3<f64>, &str), rng: &mut ChaCha8Rng| Target {
             name: name.to_owned(),

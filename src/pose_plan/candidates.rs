@@ -3,7 +3,7 @@
 use super::{Candidate, Cell, Filter, MOST_LOOKED, PosePlanError, Request, SURVEYED};
 use calibrig_estimation::identification::{CalibratedRobot, reachable_poses};
 use calibrig_estimation::planning::{PlanError, candidate_commands};
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::{CalibrationModel, JointKind};
 use calibrig_plant::experiment::WorkingRegion;
 use rand::RngExt;
@@ -175,7 +175,7 @@ pub(super) fn drawn_in(
 ) -> Result<Option<Vec<Candidate>>, PosePlanError> {
     let sides = cell.region.ranges(cell.model);
     let mut filter = Filter::new(robot, &cell.around, &spread_in(cell.model, &sides, SURVEYED))?;
-    let mut rng = stream(seed, trial, Source::IdentificationPoses);
+    let mut rng = stream(seed, trial, StreamSource::IdentificationPoses);
     let mut poses = Vec::new();
     for _ in 0..count.saturating_mul(MOST_LOOKED) {
         let mut joints: Vec<f64> =

@@ -102,7 +102,7 @@ impl Scenario {
     fn machine_of(&self, seed: u64, trial: u32) -> (AsBuilt, u32) {
         let Some(drawn) = &self.drawn else { return (self.as_built.clone(), 0) };
         let draw = |count: u32| {
-            let mut rng = random::stream_at(seed, trial, random::Source::AsBuilt, count.into());
+            let mut rng = random::stream_at(seed, trial, random::StreamSource::AsBuilt, count.into());
             drawn.draw(&self.as_built, &mut rng)
         };
         let mut machine = draw(0);

@@ -169,7 +169,7 @@ pub fn twin(robot: &Robot, named: &str, options: &TwinOptions) -> Result<Twin, T
         target: in_flange,
         planes: &surveyed.planes,
     };
-    let mut rng = stream(0, 0, random::Source::Twin);
+    let mut rng = stream(0, 0, random::StreamSource::Twin);
     let clear = clear_region(&room, &surveyed, &mut rng, &mut told);
 
     let limits = options.preset.instrument().limits;
@@ -305,7 +305,7 @@ fn survey(robot: &Robot, options: &TwinOptions) -> Surveyed {
         target: Vector3::zeros(),
         planes: &[],
     };
-    let mut rng = stream(0, 1, random::Source::Twin);
+    let mut rng = stream(0, 1, random::StreamSource::Twin);
     let poses: Vec<Vec<f64>> = (0..SURVEY)
         .map(|_| {
             let draw = |[low, high]: &[f64; 2]| low + (high - low) * rng.random::<f64>();
@@ -423,7 +423,7 @@ fn nests(
     place: &Place,
     region: &WorkingRegion,
 ) -> Result<Vec<Vector3<f64>>, TwinError> {
-    let mut rng = stream(0, 2, random::Source::Twin);
+    let mut rng = stream(0, 2, random::StreamSource::Twin);
     let mut poses = vec![region.centre.clone()];
     poses.extend((0..6).map(|_| stand.room.completed(region.draw(&mut rng))));
     let away = &surveyed.away;

@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use calibrig::files::{Robot, UrdfOptions, robot_from_urdf};
 use calibrig::files::{Source as Text, load_robot};
 use calibrig::kinematics::{forward_kinematics, joints_from_command};
-use calibrig::model::random::{Source, stream};
+use calibrig::model::random::{StreamSource, stream};
 use rand::RngExt;
 use serde_json::{Value, json};
 
@@ -76,7 +76,7 @@ fn vendors_urdfs_move_as_another_reader_has_them() {
 
         let robot = load_robot(&folder.join("robot.toml")).expect("as written");
         let (links, actuators) = (&robot.model.kinematics.links, &robot.model.actuators);
-        let mut random = stream(12, number, Source::AsBuilt);
+        let mut random = stream(12, number, StreamSource::AsBuilt);
         let commands: Vec<Vec<f64>> = (0..1000)
             .map(|_| {
                 let joint = |(joint, link): (usize, &calibrig::model::CraigLink)| {
@@ -130,7 +130,7 @@ fn vendors_urdfs_move_as_another_reader_has_them() {
 fn measured(file: &Path, options: &UrdfOptions, poses: u32, noise: f64) -> (Robot, String) {
     let robot = robot_from_urdf(&Text::read(file).expect("a fixture"), options).expect("a chain").robot;
     let model = &robot.model;
-    let mut random = stream(3, 1, Source::AsBuilt);
+    let mut random = stream(3, 1, StreamSource::AsBuilt);
     let columns: Vec<String> = model
         .kinematics
         .links

@@ -8,7 +8,7 @@ use calibrig::identification::{
     Predictor, TargetChoice, identify,
 };
 use calibrig::measurement::{MeasurementSet, Reading};
-use calibrig::model::random::{Source, stream};
+use calibrig::model::random::{StreamSource, stream};
 use calibrig::model::{LinkTerm, LinkageTerm};
 use calibrig::pipeline::{PlantKind, simulate};
 use calibrig::scenario::{Scenario, load_scenario};
@@ -30,7 +30,7 @@ fn palletizer(seed: u64) -> Scenario {
     scenario.identification_poses = 60;
     scenario.verification_poses = 40;
     scenario.tracker.instrument.noise = false;
-    let mut rng = stream(seed, 0, Source::AsBuilt);
+    let mut rng = stream(seed, 0, StreamSource::AsBuilt);
     let mut off = || if rng.random::<bool>() { OFF } else { -OFF };
     for link in &mut scenario.as_built.kinematics.links[1..3] {
         for term in LinkTerm::ALL {
@@ -66,7 +66,7 @@ fn the_loops_own_parameters_leave_the_noise() {
     for seed in 1..=TRIALS {
         let scenario = palletizer(seed);
         let session = simulate(&scenario, seed, 0, PlantKind::Rapier, |_, _| {}).expect("a session");
-        let mut rng = stream(seed, 0, Source::IdentificationNoise);
+        let mut rng = stream(seed, 0, StreamSource::IdentificationNoise);
         let [fitted, held_out] = [0, 1].map(|set: usize| noisy(&session.sets[set].measurements, &mut rng));
         let rms = |terms: Vec<String>| {
             let options = IdentificationOptions {

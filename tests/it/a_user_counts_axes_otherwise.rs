@@ -5,7 +5,7 @@ use std::fmt::Write;
 use calibrig::files::{Source as Text, parse_robot};
 use calibrig::kinematics::{command_from_joints, forward_kinematics};
 use calibrig::model::JointKind;
-use calibrig::model::random::{Source, stream};
+use calibrig::model::random::{StreamSource, stream};
 use nalgebra::Vector3;
 use rand::RngExt;
 use serde_json::Value;
@@ -45,7 +45,7 @@ const FOUR_BAR: &str = "kind = \"parallelogram\"\nshoulder = \"J2\"\nelbow = \"J
 /// What a controller that counts as the robot's file says shows at poses, and where the target is seen then, with 20 um of noise.
 fn session(text: &str, poses: u32) -> String {
     let robot = parse_robot(Text::new("robot.toml", text), None, None).expect("a robot").model;
-    let mut random = stream(31, 0, Source::AsBuilt);
+    let mut random = stream(31, 0, StreamSource::AsBuilt);
     let mut file = String::new();
     for (number, link) in (1..).zip(&robot.kinematics.links) {
         let unit = if link.kind == JointKind::Revolute { "rad" } else { "m" };

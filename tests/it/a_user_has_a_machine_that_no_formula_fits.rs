@@ -7,7 +7,7 @@ use calibrig_estimation::identification::{IdentificationOptions, ParameterChoice
 use calibrig_estimation::kinematics::target_in_base;
 use calibrig_model::measurement::{MeasurementSet, Motion};
 use calibrig_model::nalgebra::Vector3;
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::statistics::binomial_cdf;
 use calibrig_model::{CalibrationModel, CraigLink, LinkTerm, ParameterId};
 use rand::RngExt;
@@ -48,7 +48,7 @@ const BAND: f64 = 0.14;
 
 /// A path of steps most of which are small, as over a grid of poses.
 fn session(law: Law, poses: usize, trial: u32) -> MeasurementSet {
-    let mut rng = stream(31, trial, Source::IdentificationNoise);
+    let mut rng = stream(31, trial, StreamSource::IdentificationNoise);
     let model = arm();
     let mut machine = model.kinematics.clone();
     for link in 0..6 {

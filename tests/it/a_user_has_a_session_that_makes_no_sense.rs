@@ -5,7 +5,7 @@ use std::fmt::Write;
 
 use calibrig::kinematics::target_in_base;
 use calibrig::model::nalgebra::Vector3;
-use calibrig::model::random::{Source, stream};
+use calibrig::model::random::{StreamSource, stream};
 use calibrig::model::{CraigLink, KinematicModel};
 use rand_distr::{Distribution, StandardNormal};
 
@@ -70,7 +70,7 @@ fn session(poses: usize) -> Vec<Line> {
         row("J3", 0.599, -1e-3, 1e-3, -1e-3),
     ];
     let machine = KinematicModel::new(links).expect("a robot");
-    let mut rng = stream(7, 0, Source::IdentificationNoise);
+    let mut rng = stream(7, 0, StreamSource::IdentificationNoise);
     (0..poses)
         .map(|k| {
             let angle = |pace: f64, width: f64| (width * (pace * (k + 1) as f64).sin() * 10.0).round() / 10.0;

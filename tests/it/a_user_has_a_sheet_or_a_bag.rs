@@ -6,7 +6,7 @@ use calibrig::files::load_robot;
 use calibrig::geometry::{rotation_x, rotation_z, translation};
 use calibrig::kinematics::target_in_base;
 use calibrig::nalgebra::{Point3, Vector3};
-use calibrig::random::{Source, stream};
+use calibrig::random::{StreamSource, stream};
 use rand::RngExt;
 use rust_xlsxwriter::Workbook;
 
@@ -21,7 +21,7 @@ fn session() -> Vec<(Vec<f64>, Vector3<f64>)> {
     let mut real = nominal.clone();
     real.links[2].a += 1e-3;
     let tracker = translation(2.0, -1.5, 0.3) * rotation_z(2.0) * rotation_x(0.02);
-    let mut draw = stream(31, 0, Source::IdentificationPoses);
+    let mut draw = stream(31, 0, StreamSource::IdentificationPoses);
     let pose = |_| {
         let joint =
             |link: &calibrig::model::CraigLink| 0.5 * draw.random_range(link.limits[0]..link.limits[1]);

@@ -8,7 +8,7 @@ use std::path::Path;
 use calibrig::model::CrankAxis;
 use calibrig::model::visibility::stance_at;
 use calibrig::nalgebra::Vector3;
-use calibrig::random::{Source, stream};
+use calibrig::random::{StreamSource, stream};
 use calibrig::scenario::{Scenario, load_scenario};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -52,7 +52,7 @@ fn assert_told(ended: &Ended, what: &str) {
 fn check_region(scenario: &Scenario, name: &str) {
     let model = &scenario.robot.model;
     let sight = scenario.plan.sight.as_ref().expect("lines of sight");
-    let mut rng = stream(9, 0, Source::Twin);
+    let mut rng = stream(9, 0, StreamSource::Twin);
     for _ in 0..400 {
         let mut joints = scenario.region.draw(&mut rng);
         let command = model.actuators.command_from_joints(&joints);
@@ -113,7 +113,7 @@ fn every_robot_of_the_zoo_has_a_twin_that_runs() {
 
 /// A chain of links with joints of all kinds, with a branch beside it; every third without masses, every fourth without limits.
 fn random_urdf(seed: u64) -> String {
-    let mut rng: ChaCha8Rng = stream(seed, 0, Source::AsBuilt);
+    let mut rng: ChaCha8Rng = stream(seed, 0, StreamSource::AsBuilt);
     let mut text = format!("<robot name=\"made {seed}\">\n<link name=\"root\"/>\n");
     let joints = rng.random_range(3..=7);
     let has_masses = !seed.is_multiple_of(3);
@@ -218,7 +218,7 @@ fn a_four_bar_is_drawn_with_an_axis_of_the_crank_of_its_own() {
         let mut squares = [0.0; 4];
         let trials = 5000;
         for trial in 0..trials {
-            let mut machine = drawn.draw(&scenario.as_built, &mut stream(1, trial, Source::AsBuilt));
+            let mut machine = drawn.draw(&scenario.as_built, &mut stream(1, trial, StreamSource::AsBuilt));
             let CrankAxis { x, y, rx, ry } = machine.linkage_mut().expect("a four-bar").axis;
             for (sum, value) in squares.iter_mut().zip([x, y, rx, ry]) {
                 *sum += value * value / f64::from(trials);

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use calibrig::identification::{CalibratedRobot, Mode, Predictor};
 use calibrig_files::load_robot;
 use calibrig_model::geometry::{rotation_x, translation};
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use nalgebra::Vector3;
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
@@ -70,7 +70,7 @@ fn write_measurements(sandbox: &Sandbox) {
         orientations: vec![None],
     };
     let mut predictor = Predictor::new(&robot).expect("a robot");
-    let mut rng = stream(2, 0, Source::IdentificationNoise);
+    let mut rng = stream(2, 0, StreamSource::IdentificationNoise);
     let mut text = "pose,q1_rad,q2_rad,q3_rad,x_m,y_m,z_m\n".to_owned();
     for pose in 0..60 {
         let command = [0; 3].map(|_| rng.random_range(-1.2..1.2_f64));

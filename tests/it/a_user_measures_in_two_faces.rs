@@ -3,7 +3,7 @@
 use calibrig::geometry::Transform;
 use calibrig::measurement::{InstrumentTerm, SphericalReading};
 use calibrig::nalgebra::Vector3;
-use calibrig::random::{Source, stream_at};
+use calibrig::random::{StreamSource, stream_at};
 use calibrig::statistics::{NORMAL_95, binomial_cdf, chi2_cdf};
 use calibrig::tracker::{LaserTracker, Misalignment, Preset, Shot};
 use calibrig::two_face::{TwoFacePair, two_face};
@@ -56,10 +56,10 @@ fn a_hundred_instruments_are_found_to_be_what_was_drawn() {
     let mut hits = std::collections::BTreeMap::new();
     let (mut chi2, mut freedom, mut gained) = (0.0, 0.0, 1.0_f64);
     for trial in 0..INSTRUMENTS {
-        let own = kind.draw_misalignment(&mut stream_at(1, trial, Source::Instrument, 0));
+        let own = kind.draw_misalignment(&mut stream_at(1, trial, StreamSource::Instrument, 0));
         let mut tracker = LaserTracker::placed(kind, Transform::identity());
         tracker.errors.misalignment = own;
-        let rng = &mut stream_at(1, trial, Source::Acceptance, 1);
+        let rng = &mut stream_at(1, trial, StreamSource::Acceptance, 1);
         let readings: Vec<[SphericalReading; 2]> = points()
             .iter()
             .map(|point| {

@@ -7,7 +7,7 @@ use calibrig::files::load_robot;
 use calibrig::identification::{Mode, Warning, identify};
 use calibrig::kinematics::forward_kinematics;
 use calibrig::pipeline::{PlantKind, simulate};
-use calibrig::random::{Source as Stream, stream};
+use calibrig::random::{StreamSource as Stream, stream};
 use calibrig::scenario::load_scenario;
 use calibrig::statistics::binomial_cdf;
 

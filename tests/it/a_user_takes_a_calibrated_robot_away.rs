@@ -10,7 +10,7 @@ use calibrig::handover::{EstimateFile, FILES, Handover, hand_over, model_sha256}
 use calibrig::identification::{CalibratedRobot, Mode, Predictor};
 use calibrig::kinematics::forward_kinematics;
 use calibrig::measurement::MeasurementSet;
-use calibrig::model::random::{Source as Stream, stream};
+use calibrig::model::random::{StreamSource as Stream, stream};
 use calibrig::model::{ActuatorMap, CalibrationModel, JointKind, LinkTerm, LinkageTerm, PoseQuery};
 use calibrig::nalgebra::Vector3;
 use calibrig::pipeline::{self, Outcome};

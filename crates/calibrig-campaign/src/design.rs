@@ -1,6 +1,6 @@
 //! Which point of a study a trial is: a function of only the design, the seed and the trial's number.
 
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use rand::distr::Open01;
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
@@ -319,7 +319,7 @@ impl Sampling {
     fn point(self, seed: u64, index: u32, dimensions: usize) -> Vec<f64> {
         match self {
             Self::Random => {
-                stream(seed, index, Source::Factors).sample_iter(Open01).take(dimensions).collect()
+                stream(seed, index, StreamSource::Factors).sample_iter(Open01).take(dimensions).collect()
             }
             Self::Sobol => {
                 let block = scramble(seed).wrapping_add(index >> SOBOL_BITS);
@@ -343,7 +343,7 @@ impl Sampling {
 
 /// Where the scramblings of a seed's blocks begin. They are counted from there, so that all blocks of a study differ.
 fn scramble(seed: u64) -> u32 {
-    stream(seed, 0, Source::Factors).next_u32()
+    stream(seed, 0, StreamSource::Factors).next_u32()
 }
 
 /// A coordinate of a Sobol point: the crate gives the lower end of one of 2^23 cells.
@@ -364,7 +364,7 @@ struct Trajectory {
 
 impl Trajectory {
     fn new(seed: u64, index: u32, factors: usize, levels: usize) -> Self {
-        let mut rng = stream(seed, index, Source::Factors);
+        let mut rng = stream(seed, index, StreamSource::Factors);
         let low = (0..factors).map(|_| below(&mut rng, levels / 2)).collect();
         let rises = (0..factors).map(|_| below(&mut rng, 2) == 1).collect();
         let mut order: Vec<usize> = (0..factors).collect();

@@ -14,7 +14,7 @@ use calibrig_estimation::inverse::{Criterion, Goal, InverseKinematics, InverseOp
 use calibrig_estimation::kinematics::{forward_kinematics, joints_from_command};
 use calibrig_files::load_robot;
 use calibrig_model::geometry::{Transform, rotation_x, translation};
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::{CalibrationModel, ParameterId};
 use criterion::{Criterion as Bench, criterion_group, criterion_main};
 use nalgebra::Vector3;
@@ -30,7 +30,7 @@ fn place(model: &CalibrationModel, command: &[f64], tool: &Tool) -> Transform {
 
 /// Places of random joint variables within the limits, with the direction of the gun.
 fn goals(model: &CalibrationModel, tool: &Tool) -> Vec<Goal> {
-    let mut rng = stream(16, 2, Source::SolverStarts);
+    let mut rng = stream(16, 2, StreamSource::SolverStarts);
     let mut draw = || {
         let joints: Vec<f64> = model
             .kinematics

@@ -10,7 +10,7 @@ use std::hint::black_box;
 use calibrig_estimation::planning::{
     Choice, Criterion, DesignRows, DesignSpace, OrderWeights, ParameterScale, Way, choose, ordered,
 };
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::{LinkTerm, ParameterId};
 use criterion::{Criterion as Bench, criterion_group, criterion_main};
 use nalgebra::{DMatrix, RowDVector};
@@ -20,7 +20,7 @@ const PARAMETERS: usize = 45;
 
 /// Smooth functions of seven joint variables, as the columns of a robot are.
 fn space() -> DesignSpace {
-    let mut rng = stream(1, 0, Source::Splits);
+    let mut rng = stream(1, 0, StreamSource::Splits);
     let paces = DMatrix::from_fn(7, 3 * PARAMETERS, |_, _| rng.random_range(-1.5_f64..1.5));
     let mut block = || {
         let joints = RowDVector::from_fn(7, |_, _| rng.random_range(-1.0_f64..1.0));
@@ -49,7 +49,7 @@ fn planning(bench: &mut Bench) {
         }
     }
     group.finish();
-    let mut rng = stream(2, 0, Source::Splits);
+    let mut rng = stream(2, 0, StreamSource::Splits);
     let commands: Vec<Vec<f64>> =
         (0..60).map(|_| (0..7).map(|_| rng.random_range(-1.0..1.0)).collect()).collect();
     let weights = OrderWeights { balance: 60.0, drift: 0.0 };

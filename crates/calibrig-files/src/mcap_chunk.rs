@@ -128,7 +128,7 @@ fn is_tiled(data: &[u8]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use calibrig_model::random::{Source, stream};
+    use calibrig_model::random::{StreamSource, stream};
     use lz4_flex::frame::{BlockMode, BlockSize, FrameEncoder, FrameInfo};
     use rand::RngExt;
     use std::io::Write;
@@ -197,7 +197,7 @@ mod tests {
     fn no_damage_panics_or_asks_for_more_memory_than_there_is() {
         let data = [message(10), message(300), message(70_000)].concat();
         let zstd = zstd::stream::encode_all(data.as_slice(), 3).expect("compressed");
-        let mut rng = stream(9, 0, Source::Splits);
+        let mut rng = stream(9, 0, StreamSource::Splits);
         let contents = [
             ("", data.clone()),
             ("zstd", zstd),

@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 /// What a stream is drawn for. The numbers are frozen: changing one changes every published result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u64)]
-pub enum Source {
+pub enum StreamSource {
     /// Pose draws of the identification set.
     IdentificationPoses = 1,
     /// Pose draws of the verification set.
@@ -74,14 +74,14 @@ pub enum Source {
 }
 
 /// The stream of `(seed, trial, source)`. `ChaCha8` with the seed as key and (trial, source) as stream number.
-pub fn stream(seed: u64, trial: u32, source: Source) -> ChaCha8Rng {
+pub fn stream(seed: u64, trial: u32, source: StreamSource) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream((u64::from(trial) << 16) | source as u64);
     rng
 }
 
 /// The stream at the place of entry `index`, such as a pose: its draws do not depend on earlier ones. An entry has 2^20 words.
-pub fn stream_at(seed: u64, trial: u32, source: Source, index: u64) -> ChaCha8Rng {
+pub fn stream_at(seed: u64, trial: u32, source: StreamSource, index: u64) -> ChaCha8Rng {
     let mut rng = stream(seed, trial, source);
     rng.set_word_pos(u128::from(index) << 20);
     rng
@@ -95,17 +95,17 @@ mod tests {
     #[test]
     fn streams_differ_by_seed_trial_and_source_and_repeat() {
         let first = |seed, trial, source| stream(seed, trial, source).random::<u64>();
-        let reference = first(1, 0, Source::NestNoise);
-        assert_eq!(reference, first(1, 0, Source::NestNoise));
-        assert_ne!(reference, first(2, 0, Source::NestNoise));
-        assert_ne!(reference, first(1, 1, Source::NestNoise));
-        assert_ne!(reference, first(1, 0, Source::TargetOffset));
+        let reference = first(1, 0, StreamSource::NestNoise);
+        assert_eq!(reference, first(1, 0, StreamSource::NestNoise));
+        assert_ne!(reference, first(2, 0, StreamSource::NestNoise));
+        assert_ne!(reference, first(1, 1, StreamSource::NestNoise));
+        assert_ne!(reference, first(1, 0, StreamSource::TargetOffset));
     }
 
     #[test]
     fn entries_of_a_stream_are_places_in_it() {
-        let at = |index| stream_at(1, 0, Source::Repeatability, index).random::<u64>();
-        assert_eq!(at(0), stream(1, 0, Source::Repeatability).random::<u64>());
+        let at = |index| stream_at(1, 0, StreamSource::Repeatability, index).random::<u64>();
+        assert_eq!(at(0), stream(1, 0, StreamSource::Repeatability).random::<u64>());
         assert_eq!(at(5), at(5));
         assert_ne!(at(5), at(6));
     }

@@ -13,7 +13,7 @@ use std::hint::black_box;
 use calibrig_model::Visual;
 use calibrig_model::VisualShape;
 use calibrig_model::geometry::translation;
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::visibility::{Obstacles, Reflector, Stance, TrackerReach, stance_at};
 use calibrig_plant::AsBuilt;
 use calibrig_plant::effects::Effects;
@@ -65,7 +65,7 @@ fn look(criterion: &mut Criterion) {
         });
     });
     let mut settled = stances.iter().cycle();
-    let mut noise = stream(1, 0, Source::IdentificationNoise);
+    let mut noise = stream(1, 0, StreamSource::IdentificationNoise);
     group.bench_function("settled pose with its reading", |bencher| {
         bencher.iter(|| {
             settled.next().map(|(links, flange)| {

@@ -7,7 +7,7 @@ use std::hint::black_box;
 
 use calibrig_model::measurement::Face;
 use calibrig_model::nalgebra::Vector3;
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_plant::tracker::acceptance::draw_and_test;
 use calibrig_plant::tracker::{
     Air, Conditions, DriftLaw, EnvironmentLaw, Instrument, LaserTracker, Motion, Preset, Shot, SmrLaw,
@@ -47,12 +47,12 @@ fn benches(c: &mut Criterion) {
             Vector3::new((0.7 * k).sin(), 2.0 * (1.1 * k).sin(), 1.5 + (1.9 * k).sin())
         })
         .collect();
-    let smr = tracker.conditions.smr.expect("stated").draw(&mut stream(1, 0, Source::Smr));
+    let smr = tracker.conditions.smr.expect("stated").draw(&mut stream(1, 0, StreamSource::Smr));
     let mut group = c.benchmark_group("tracker");
     group.throughput(Throughput::Elements(OBSERVATIONS as u64));
     group.bench_function("observations with every error on", |b| {
-        let mut noise = stream(1, 0, Source::IdentificationNoise);
-        let mut misses = stream(1, 0, Source::Misses);
+        let mut noise = stream(1, 0, StreamSource::IdentificationNoise);
+        let mut misses = stream(1, 0, StreamSource::Misses);
         b.iter(|| {
             let mut sum = 0.0;
             for (index, point) in points.iter().enumerate() {

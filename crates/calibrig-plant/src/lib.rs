@@ -13,7 +13,7 @@
 //! ```
 //! use calibrig_model::geometry::Transform;
 //! use calibrig_model::nalgebra::{Matrix3, Point3, Vector3};
-//! use calibrig_model::random::{Source, stream};
+//! use calibrig_model::random::{StreamSource, stream};
 //! use calibrig_model::{ActuatorMap, Body, CraigLink, JointKind, KinematicModel, StaticProperties};
 //! use calibrig_plant::effects::Effects;
 //! use calibrig_plant::tracker::{ErrorLine, Instrument, LaserTracker, Shot};
@@ -45,7 +45,7 @@
 //! let transverse = ErrorLine { offset: 15e-6, per_metre: 6e-6 };
 //! let instrument = Instrument::of_noise(transverse, ErrorLine { offset: 10e-6, per_metre: 0.3e-6 }, 0.125);
 //! let tracker = LaserTracker::levelled(instrument, Vector3::new(1.0, 0.5, 3.0), 0.0, &Vector3::y());
-//! let reading = tracker.measure(&pose.target, &Shot::default(), &mut stream(1, 0, Source::IdentificationNoise))?;
+//! let reading = tracker.measure(&pose.target, &Shot::default(), &mut stream(1, 0, StreamSource::IdentificationNoise))?;
 //! let seen = tracker.tracker_from_base.inverse() * Point3::from(reading.position());
 //! assert!((seen.coords - pose.target).norm() < 50e-6);
 //! # Ok::<(), Box<dyn std::error::Error>>(())

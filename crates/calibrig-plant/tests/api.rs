@@ -5,7 +5,7 @@ use std::ops::ControlFlow;
 use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::{Face, InstrumentTerm};
 use calibrig_model::nalgebra::{Matrix3, Vector3};
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::{
     ActuatorMap, Body, CraigLink, CrankAxis, FourBar, KinematicModel, LinkageArm, LinkageStatics, PointLoad,
     StaticProperties,
@@ -178,7 +178,7 @@ proptest! {
             Err(error) => prop_assert!(error.to_string().contains(field), "{}: {}", field, error),
         }
         // Of a machine that cannot be, others are drawn, and refused in their turn.
-        let drawn = distribution().draw(&machine, &mut stream(1, 0, Source::AsBuilt));
+        let drawn = distribution().draw(&machine, &mut stream(1, 0, StreamSource::AsBuilt));
         prop_assert!(Plant::new(&drawn, SettleOptions::default()).is_err());
     }
 
@@ -222,7 +222,7 @@ proptest! {
         fraction in prop_oneof![0.0..1.0_f64, bad(), Just(-0.1)]
     ) {
         let instrument = Instrument { random_fraction: fraction, ..INSTRUMENT };
-        let mut rng = stream(1, 0, Source::IdentificationNoise);
+        let mut rng = stream(1, 0, StreamSource::IdentificationNoise);
         let tracker = LaserTracker::levelled(instrument, Vector3::new(1.0, 0.5, 3.0), 0.3, &Vector3::from(up));
         match tracker.measure(&Vector3::from(place), &Shot::default(), &mut rng) {
             Ok(reading) => {
@@ -246,7 +246,7 @@ proptest! {
         }
         tracker.errors.misalignment = Misalignment::of(errors.iter().map(|(term, x)| (InstrumentTerm::ALL[*term], *x)));
         let face = if back { Face::Back } else { Face::Front };
-        let read = tracker.measure(&Vector3::from(place), &Shot { face, ..Shot::at(time) }, &mut stream(1, 0, Source::IdentificationNoise));
+        let read = tracker.measure(&Vector3::from(place), &Shot { face, ..Shot::at(time) }, &mut stream(1, 0, StreamSource::IdentificationNoise));
         match read {
             Ok(reading) => prop_assert!(reading.position().iter().all(|v| v.is_finite()) && reading.range > 0.0),
             Err(error) => prop_assert!(error.to_string().contains("range"), "{}", error),

@@ -1,6 +1,6 @@
 //! The summary as a JSON document.
 
-use calibrig_campaign::statistics::{Convergence, Estimate, Histogram};
+use calibrig_campaign::statistics::{Convergence, Estimated, Histogram};
 use serde_json::{Value, json};
 
 use super::{
@@ -47,11 +47,11 @@ fn modes_json(group: &GroupSummary) -> Value {
     group.modes.iter().map(mode_json).collect()
 }
 
-fn interval_json(estimate: &Estimate) -> Value {
+fn interval_json(estimate: &Estimated) -> Value {
     estimate.interval.map_or(Value::Null, |interval| json!([interval.low, interval.high]))
 }
 
-fn estimate_json(estimate: &Estimate) -> Value {
+fn estimate_json(estimate: &Estimated) -> Value {
     json!({ "value": estimate.value, "interval_95": interval_json(estimate) })
 }
 

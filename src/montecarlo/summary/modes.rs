@@ -3,7 +3,8 @@
 use std::ops::Range;
 
 use calibrig_campaign::statistics::{
-    Convergence, Estimate, Histogram, Interval, Moments, Proportion, RatioOfMeans, quantiles, trials_for_mean,
+    Convergence, Estimated, Histogram, Interval, Moments, Proportion, RatioOfMeans, quantiles,
+    trials_for_mean,
 };
 use calibrig_campaign::table::{Cell, Table};
 
@@ -30,7 +31,7 @@ pub struct MeanWithInterval {
     /// Half the width of the mean's interval (Student's t); `None` for one trial.
     pub half_width: Option<f64>,
     /// Standard deviation of single trials with its interval; `None` for one trial.
-    pub deviation: Option<Estimate>,
+    pub deviation: Option<Estimated>,
     /// The 5 %, 50 % and 95 % quantiles of single trials.
     pub quantiles: [f64; 3],
     /// Their 95 % intervals, which hold for any distribution; `None` for too few trials.
@@ -45,7 +46,7 @@ pub struct Rate {
     /// Number of trials.
     pub trials: u64,
     /// The share with its exact 95 % interval.
-    pub share: Estimate,
+    pub share: Estimated,
 }
 
 impl Rate {
@@ -77,7 +78,7 @@ pub struct SetSummary {
     /// The distribution of the RMS of single trials.
     pub histogram: Option<Histogram>,
     /// In a sweep: the difference of the mean RMS from that of the first combination with the same draws.
-    pub against_first: Option<Estimate>,
+    pub against_first: Option<Estimated>,
 }
 
 /// A parameter over the trials in which its truth and standard deviation are known, SI.
@@ -86,13 +87,13 @@ pub struct ParameterSummary {
     /// Which.
     pub id: ParameterId,
     /// Mean of estimate minus truth.
-    pub bias: Estimate,
+    pub bias: Estimated,
     /// Root mean square of estimate minus truth.
-    pub rmse: Estimate,
+    pub rmse: Estimated,
     /// Root of the mean stated variance.
     pub stated: f64,
     /// RMSE over the stated standard deviation: about 1 if the stated uncertainty is right.
-    pub consistency: Estimate,
+    pub consistency: Estimated,
     /// Root of the mean Cramér-Rao bound at the truth of every trial: no unbiased estimator that uses only the measurements has a smaller RMSE.
     /// One with priors may. `None` if the truth of a parameter is unknown, or the measurements alone do not determine all.
     pub cramer_rao: Option<f64>,
@@ -100,7 +101,7 @@ pub struct ParameterSummary {
     /// drawn from the priors. `None` if no machines are drawn, no parameter has a prior, or the truth of one is unknown.
     pub bayesian: Option<f64>,
     /// RMSE over the bound that holds for this estimator.
-    pub over_bound: Option<Estimate>,
+    pub over_bound: Option<Estimated>,
     /// How often the stated 95 % interval contained the truth.
     pub coverage: Coverage,
 }
@@ -155,10 +156,10 @@ pub struct PredictionCoverage {
 
 impl PredictionCoverage {
     /// The share with its 99.9 % interval, which ends at none and at all.
-    pub fn estimate(&self) -> Estimate {
+    pub fn estimate(&self) -> Estimated {
         let value = self.coverage.fraction();
         let ends = |half: f64| Interval { low: (value - half).max(0.0), high: (value + half).min(1.0) };
-        Estimate { value, interval: self.half_width.map(ends) }
+        Estimated { value, interval: self.half_width.map(ends) }
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use calibrig_campaign::statistics::Estimate;
+use calibrig_campaign::statistics::Estimated;
 
 use super::digits::{decimals, with_interval};
 use super::{
@@ -68,7 +68,7 @@ fn failures_text(text: &mut String, summary: &CampaignSummary) {
 }
 
 /// A figure with its interval, in `unit` of the value.
-fn figure(estimate: &Estimate, unit: f64) -> String {
+fn figure(estimate: &Estimated, unit: f64) -> String {
     with_interval(estimate.value, estimate.interval, 1.0 / unit, plain)
 }
 
@@ -244,7 +244,7 @@ fn parameters_text(text: &mut String, mode: &ModeSummary) {
     }
 }
 
-fn fine(estimate: &Estimate, scale: f64) -> String {
+fn fine(estimate: &Estimated, scale: f64) -> String {
     match estimate.interval {
         Some(interval) => format!("{:.5} ± {:.5}", scale * estimate.value, scale * interval.half_width()),
         None => format!("{:.5}", scale * estimate.value),
@@ -252,7 +252,7 @@ fn fine(estimate: &Estimate, scale: f64) -> String {
 }
 
 /// With the ends of its interval, which need not be symmetric.
-fn coarse(estimate: &Estimate) -> String {
+fn coarse(estimate: &Estimated) -> String {
     match estimate.interval {
         Some(interval) => format!("{:.3} [{:.3}, {:.3}]", estimate.value, interval.low, interval.high),
         None => format!("{:.3}", estimate.value),
@@ -347,7 +347,7 @@ fn sensitivity_text(text: &mut String, summary: &CampaignSummary) {
             heading[2]
         );
         for (name, effect) in &sensitivity.effects {
-            let mm = |estimate: &Option<Estimate>| {
+            let mm = |estimate: &Option<Estimated>| {
                 estimate.as_ref().map_or_else(|| "-".to_owned(), |estimate| figure(estimate, 1e-3))
             };
             let cells = match effect {

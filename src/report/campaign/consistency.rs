@@ -12,7 +12,7 @@ use crate::report::markup::key;
 use crate::report::plots::look;
 use crate::report::rows::{Dot, FAR, Panel, dots};
 use crate::report::words::{number, parameter_words, printed_unit};
-use calibrig_campaign::statistics::{Estimate, Interval};
+use calibrig_campaign::statistics::{Estimated, Interval};
 use calibrig_model::ParameterId;
 
 /// Parameters that are drawn and listed.
@@ -105,7 +105,7 @@ fn chi2_dot(mode: &ModeSummary) -> Option<Dot> {
 
 fn prediction_dot(mode: &ModeSummary) -> Option<Dot> {
     let predictions = mode.predictions?;
-    let Estimate { value, interval } = predictions.estimate();
+    let Estimated { value, interval } = predictions.estimate();
     Some(Dot {
         look: look(mode.mode),
         value: 1e2 * value,
@@ -216,7 +216,7 @@ fn parameter_figure(
     rows: &[(ParameterId, Vec<(&ModeSummary, &ParameterSummary)>)],
 ) -> Result<String, ReportError> {
     let names: Vec<_> = rows.iter().map(|(id, _)| id.to_string()).collect();
-    let ratio = |mode: &ModeSummary, estimate: &Estimate| Dot {
+    let ratio = |mode: &ModeSummary, estimate: &Estimated| Dot {
         look: look(mode.mode),
         value: estimate.value,
         interval: estimate.interval.map(|interval| (interval.low, interval.high)),
@@ -273,7 +273,7 @@ fn parameter_table(mode: &ModeSummary) -> Markup {
 fn parameter_row(p: &ParameterSummary) -> Markup {
     let (unit, factor) = printed_unit(p.id.unit());
     let (low, high) = p.coverage.interval(BAND);
-    let coverage = Estimate { value: p.coverage.fraction(), interval: Some(Interval { low, high }) };
+    let coverage = Estimated { value: p.coverage.fraction(), interval: Some(Interval { low, high }) };
     html! {
         tr {
             th scope="row" title=(parameter_words(p.id)) { (p.id) }

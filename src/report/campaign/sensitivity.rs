@@ -7,13 +7,13 @@ use crate::montecarlo::{CampaignSummary, FactorEffect, Sensitivity};
 use crate::report::markup::key;
 use crate::report::plots::look;
 use crate::report::rows::{Dot, Panel, dots};
-use calibrig_campaign::statistics::Estimate;
+use calibrig_campaign::statistics::Estimated;
 
 /// Factors that are drawn and listed, those that matter most first.
 const MOST: usize = 40;
 
 /// Of either design: what is drawn of an effect.
-fn two(effect: &FactorEffect) -> [Option<Estimate>; 2] {
+fn two(effect: &FactorEffect) -> [Option<Estimated>; 2] {
     match effect {
         FactorEffect::Indices(indices) => [Some(indices.total), Some(indices.first)],
         FactorEffect::Screening(effects) => [effects.mean_absolute, effects.deviation],
@@ -117,7 +117,7 @@ fn tornado(
 fn table(own: &Sensitivity, names: &[String], indices: bool) -> Markup {
     let sizes = own.effects.iter().filter_map(|(_, effect)| two(effect)[0]);
     let (unit, factor) = unit(sizes.map(|estimate| estimate.value).fold(0.0, f64::max));
-    let cell = |value: &Option<Estimate>| {
+    let cell = |value: &Option<Estimated>| {
         value.as_ref().map_or_else(|| NONE.to_owned(), |value| estimate(value, factor))
     };
     html! {

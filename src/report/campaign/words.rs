@@ -5,7 +5,7 @@ use maud::{Markup, PreEscaped, html};
 use crate::montecarlo::{AccuracySet, GroupSummary, MeanWithInterval, Rate, decimals, with_interval};
 use crate::report::files::ReportError;
 use crate::report::words::{cut, number};
-use calibrig_campaign::statistics::{Estimate, Interval};
+use calibrig_campaign::statistics::{Estimated, Interval};
 
 /// Characters of a text from a file that are shown.
 const LONGEST: usize = 400;
@@ -68,7 +68,7 @@ pub(super) fn mean(mean: &MeanWithInterval, factor: f64) -> String {
     with_interval(mean.mean, mean.interval(), factor, number)
 }
 
-pub(super) fn estimate(estimate: &Estimate, factor: f64) -> String {
+pub(super) fn estimate(estimate: &Estimated, factor: f64) -> String {
     with_interval(estimate.value, estimate.interval, factor, number)
 }
 
@@ -94,7 +94,7 @@ pub(super) fn rate(rate: &Rate) -> Markup {
 }
 
 /// A share in percent with its interval.
-pub(super) fn share(share: &Estimate) -> String {
+pub(super) fn share(share: &Estimated) -> String {
     let Some(interval) = share.interval else { return format!("{} %", number(1e2 * share.value, 1)) };
     let digits = decimals(1e2 * interval.half_width()).clamp(1, 3);
     format!("{} % {}", number(1e2 * share.value, digits), bracket(&interval, 1e2, digits))
@@ -106,7 +106,7 @@ pub(super) fn unit(metres: f64) -> (&'static str, f64) {
 }
 
 /// An index, which is of the order of 1.
-pub(super) fn index(estimate: &Estimate) -> String {
+pub(super) fn index(estimate: &Estimated) -> String {
     with_interval(estimate.value, estimate.interval, 1.0, |value, digits| number(value, digits.min(3)))
 }
 

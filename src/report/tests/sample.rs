@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
 use crate::pipeline::{
-    AblatedPart, Ablation, AblationRows, InputSummary, ModeOutcome, Outcome, Part, PlantKind,
+    AblatedPart, Ablation, AblationRows, InputSummary, MachinePart, ModeOutcome, Outcome, PlantKind,
     RegistrationSummary, SetKind, SetOutcome, Truth,
 };
 use calibrig_estimation::evaluation::accuracy;
@@ -24,7 +24,7 @@ use calibrig_model::geometry::{
     Transform, best_fit_transform, rotation_x, rotation_z, small_displacement, translation,
 };
 use calibrig_model::measurement::{MeasurementSet, Observation, Reading, Station, Target};
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::{
     ActuatorMap, Body, CalibrationModel, CraigLink, JointKind, KinematicModel, LinkTerm, ParameterId,
     StaticProperties, Unit,
@@ -132,7 +132,7 @@ pub(super) fn simulated() -> Outcome {
     let tracker_from_base = prior * small_displacement(&Vector6::from(TRUE_FRAME));
     let target = Vector3::from(STATED_TARGET) + Vector3::from(TARGET_ERROR);
 
-    let mut rng = stream(7, 0, Source::AsBuilt);
+    let mut rng = stream(7, 0, StreamSource::AsBuilt);
     let mut sets = Vec::new();
     let mut unmodelled: Vec<Vec<Vector3<f64>>> = Vec::new();
     for (kind, first, count) in [(SetKind::Identification, 0, 60), (SetKind::Verification, 60, 38)] {
@@ -240,13 +240,17 @@ pub(super) fn ablated() -> Outcome {
         sets: outcome.sets.iter().map(|set| set.kind).collect(),
         parts: vec![
             AblatedPart {
-                part: Part::Bearings,
+                part: MachinePart::Bearings,
                 rows: Ok(complete.clone()),
                 doubtful: vec![Mode::WithGravity],
             },
-            AblatedPart { part: Part::Effect(EffectKind::Rail), rows: Ok(halved), doubtful: Vec::new() },
             AblatedPart {
-                part: Part::Effect(EffectKind::Backlash),
+                part: MachinePart::Effect(EffectKind::Rail),
+                rows: Ok(halved),
+                doubtful: Vec::new(),
+            },
+            AblatedPart {
+                part: MachinePart::Effect(EffectKind::Backlash),
                 rows: Err("not at rest\x07".to_owned()),
                 doubtful: Vec::new(),
             },

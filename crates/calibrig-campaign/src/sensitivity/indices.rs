@@ -2,15 +2,15 @@
 
 use serde::Serialize;
 
-use crate::statistics::{Estimate, Interval, student};
+use crate::statistics::{Estimated, Interval, student};
 
 /// The effect of a factor on an output.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct SobolIndices {
     /// The share of the output's variance that vanishes, on average, once the factor is known: its effect alone.
-    pub first: Estimate,
+    pub first: Estimated,
     /// The share that remains, on average, once all others are known: its effect alone and together with others.
-    pub total: Estimate,
+    pub total: Estimated,
 }
 
 /// Quantities of a row of whose means the indices of a factor are functions: the mean of A and B, the mean of their squares, the difference d that
@@ -143,8 +143,8 @@ impl Comoments {
         let half_of_first = half_width(self.squares(of_first));
         let half_of_total = half_width(self.squares(of_total));
         Some(SobolIndices {
-            first: Estimate { value: first, interval: Some(Interval::around(first, half_of_first)) },
-            total: Estimate { value: total, interval: Some(around_logarithm(total, half_of_total)) },
+            first: Estimated { value: first, interval: Some(Interval::around(first, half_of_first)) },
+            total: Estimated { value: total, interval: Some(around_logarithm(total, half_of_total)) },
         })
     }
 }
@@ -159,7 +159,7 @@ fn around_logarithm(value: f64, half: f64) -> Interval {
 mod tests {
     use super::*;
     use crate::design::{Coordinate, Design, Sampling};
-    use calibrig_model::random::{Source, stream};
+    use calibrig_model::random::{StreamSource, stream};
     use calibrig_model::statistics::{binomial_cdf, normal_quantile};
     use rand::RngExt;
     use rand::distr::Open01;
@@ -214,7 +214,7 @@ mod tests {
     /// 4 and 1.
     fn noisy() -> Function {
         let output = |u: &[f64], seed, draw| {
-            let z = normal_quantile(stream(seed, draw, Source::Splits).sample(Open01));
+            let z = normal_quantile(stream(seed, draw, StreamSource::Splits).sample(Open01));
             let [x, y] = [0, 1].map(|i: usize| 12.0_f64.sqrt() * (u[i] - 0.5));
             x + y * z + 2.0 * z
         };
@@ -247,7 +247,7 @@ mod tests {
         /// For every first and total index whether its 95 % interval holds the closed form.
         fn held(&self, sums: &SobolSums) -> Vec<bool> {
             let found = sums.indices(0.95).expect("rows that vary");
-            let holds = |e: &Estimate, truth: &f64| e.interval.expect("rows").contains(*truth);
+            let holds = |e: &Estimated, truth: &f64| e.interval.expect("rows").contains(*truth);
             let first = found.iter().zip(&self.first).map(|(f, truth)| holds(&f.first, truth));
             first.chain(found.iter().zip(&self.total).map(|(f, truth)| holds(&f.total, truth))).collect()
         }

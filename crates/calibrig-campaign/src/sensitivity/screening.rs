@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use crate::design::Step;
-use crate::statistics::{Estimate, Moments};
+use crate::statistics::{Estimated, Moments};
 
 /// The effect of a factor on an output when it alone moves by half of its range, per range: the output's slope across the factor's distribution.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -13,11 +13,11 @@ pub struct ElementaryEffects {
     /// How many were left out because a trial failed.
     pub left_out: u64,
     /// The mean, mu: effects of opposite sign cancel. `None` without effects.
-    pub mean: Option<Estimate>,
+    pub mean: Option<Estimated>,
     /// The mean of the absolute effects, mu*: how much the factor matters. `None` without effects.
-    pub mean_absolute: Option<Estimate>,
+    pub mean_absolute: Option<Estimated>,
     /// The standard deviation, sigma: large if the factor acts nonlinearly or together with others. `None` for one effect.
-    pub deviation: Option<Estimate>,
+    pub deviation: Option<Estimated>,
 }
 
 /// Sums over the trajectories of a [`Screening`](crate::design::Design::Screening) design. Effects of different trajectories are independent: intervals of both
@@ -110,7 +110,7 @@ mod tests {
         let sums = screen(7, 12, 4, |_, x| 3.0 + x.iter().zip(slopes).map(|(x, s)| x * s).sum::<f64>());
         for (found, slope) in sums.effects(0.95).iter().zip(slopes) {
             assert_eq!((found.count, found.left_out), (12, 0));
-            let of = |e: Option<Estimate>| e.map(|e| (e.value, e.interval.map(|i| (i.low, i.high))));
+            let of = |e: Option<Estimated>| e.map(|e| (e.value, e.interval.map(|i| (i.low, i.high))));
             assert_eq!(of(found.mean), Some((slope, Some((slope, slope)))));
             assert_eq!(of(found.mean_absolute), Some((slope.abs(), Some((slope.abs(), slope.abs())))));
             assert_eq!(of(found.deviation), Some((0.0, None)));
@@ -132,7 +132,7 @@ mod tests {
             Some(found.deviation?.interval?.contains((5.0_f64 / 64.0).sqrt()))
         });
         let parabola = screen(5, 30, 1, |_, x| (x[0] - 0.5).powi(2)).effects(0.95)[0];
-        let value = |e: Option<Estimate>| e.expect("effects").value;
+        let value = |e: Option<Estimated>| e.expect("effects").value;
         assert_eq!(value(parabola.mean_absolute), 0.25);
         assert!(value(parabola.mean).abs() < 0.25 && value(parabola.deviation) > 0.2);
     }

@@ -3,7 +3,7 @@
 use calibrig_model::statistics::clopper_pearson;
 use serde::Serialize;
 
-use super::{Estimate, Moments, Proportion, student};
+use super::{Estimated, Moments, Proportion, student};
 
 /// No study has as many trials.
 const MOST: u64 = 1_000_000_000;
@@ -34,7 +34,7 @@ impl Convergence {
     }
 
     /// For a figure with an interval; `narrows` says whether a number of trials is enough.
-    fn of(trials: u64, estimate: &Estimate, wanted: f64, narrows: impl Fn(u64) -> bool) -> Option<Self> {
+    fn of(trials: u64, estimate: &Estimated, wanted: f64, narrows: impl Fn(u64) -> bool) -> Option<Self> {
         let reached = estimate.interval?.half_width() / estimate.value.abs();
         if !(reached.is_finite() && wanted > 0.0 && trials < MOST) {
             return None;
@@ -86,7 +86,7 @@ pub fn trials_for_proportion(proportion: &Proportion, level: f64, wanted: f64) -
 
 /// How many trials bring half the width of any other figure's interval to the share `wanted` of the figure, if it falls with the root of their
 /// number, as for quantiles, ratios and indices. `None` without an interval, for a figure of zero, above a thousand million.
-pub fn trials_for(estimate: &Estimate, trials: u64, wanted: f64) -> Option<Convergence> {
+pub fn trials_for(estimate: &Estimated, trials: u64, wanted: f64) -> Option<Convergence> {
     let half = estimate.interval?.half_width();
     let narrows = |n: u64| half * (trials as f64 / n as f64).sqrt() <= wanted * estimate.value.abs();
     Convergence::of(trials, estimate, wanted, narrows)
@@ -131,10 +131,10 @@ mod tests {
         let mut never = Proportion::default();
         never.add(false);
         assert_eq!(trials_for_proportion(&never, 0.95, 0.1), None);
-        let estimate = Estimate { value: -2.0, interval: Some(Interval { low: -2.5, high: -1.5 }) };
+        let estimate = Estimated { value: -2.0, interval: Some(Interval { low: -2.5, high: -1.5 }) };
         let found = trials_for(&estimate, 10, 0.03125).expect("an interval");
         assert_eq!((found.reached, found.needed, found.more()), (0.25, 640, 630));
-        assert_eq!(trials_for(&Estimate { interval: None, ..estimate }, 10, 0.1), None);
-        assert_eq!(trials_for(&Estimate { value: 0.0, ..estimate }, 10, 0.1), None);
+        assert_eq!(trials_for(&Estimated { interval: None, ..estimate }, 10, 0.1), None);
+        assert_eq!(trials_for(&Estimated { value: 0.0, ..estimate }, 10, 0.1), None);
     }
 }

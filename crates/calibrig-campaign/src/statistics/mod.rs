@@ -55,7 +55,7 @@ impl Interval {
 
 /// A figure with its confidence interval.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Estimate {
+pub struct Estimated {
     /// The figure.
     pub value: f64,
     /// `None` if there are too few values for one.
@@ -69,14 +69,14 @@ pub(crate) fn student(level: f64, dof: f64) -> f64 {
 
 #[cfg(test)]
 pub(crate) mod tests {
-    use calibrig_model::random::{Source, stream};
+    use calibrig_model::random::{StreamSource, stream};
     use calibrig_model::statistics::binomial_cdf;
     use rand::RngExt;
     use rand::distr::Open01;
 
     /// Independent numbers between 0 and 1.
     pub(crate) fn uniform(seed: u32, replicate: u32, count: usize) -> impl Iterator<Item = f64> {
-        stream(seed.into(), replicate, Source::Factors).sample_iter(Open01).take(count)
+        stream(seed.into(), replicate, StreamSource::Factors).sample_iter(Open01).take(count)
     }
 
     /// How many of the replicates contain the truth; every one must have an interval.

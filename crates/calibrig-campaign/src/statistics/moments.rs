@@ -2,7 +2,7 @@
 
 use calibrig_model::statistics::normal_quantile;
 
-use super::{Estimate, Interval, student};
+use super::{Estimated, Interval, student};
 
 /// Mean, central moments and ends of a column.
 ///
@@ -88,18 +88,18 @@ impl Moments {
 
     /// The mean with its interval of confidence `level` (Student's t); `None` without values. For values that are not normal it holds in the limit:
     /// from some tens of values on if they are not very skew.
-    pub fn mean_interval(&self, level: f64) -> Option<Estimate> {
+    pub fn mean_interval(&self, level: f64) -> Option<Estimated> {
         let value = self.mean()?;
         let half =
             |variance: f64| student(level, (self.count - 1) as f64) * (variance / self.count as f64).sqrt();
-        Some(Estimate { value, interval: self.variance().map(|v| Interval::around(value, half(v))) })
+        Some(Estimated { value, interval: self.variance().map(|v| Interval::around(value, half(v))) })
     }
 
     /// Of a column of squares: the root of their mean (RMS) with its interval, whose ends are the roots of the mean's; `None` without values and for a
     /// mean below zero.
-    pub fn root_mean(&self, level: f64) -> Option<Estimate> {
+    pub fn root_mean(&self, level: f64) -> Option<Estimated> {
         let mean = self.mean_interval(level).filter(|m| m.value >= 0.0)?;
-        Some(Estimate { value: mean.value.sqrt(), interval: mean.interval.map(Interval::root) })
+        Some(Estimated { value: mean.value.sqrt(), interval: mean.interval.map(Interval::root) })
     }
 
     /// The standard deviation of single values with its interval of confidence `level`; `None` for one value, without an interval for fewer than ten
@@ -111,10 +111,10 @@ impl Moments {
     ///
     /// Source: D. G. Bonett, "Approximate confidence interval for standard deviation of nonnormal distributions", Computational Statistics & Data
     /// Analysis 50 (2006), 775-782, with the mean in place of the trimmed mean, which cannot be computed in one pass.
-    pub fn deviation_interval(&self, level: f64) -> Option<Estimate> {
+    pub fn deviation_interval(&self, level: f64) -> Option<Estimated> {
         let value = self.variance()?.sqrt();
         let enough = self.count >= 10 && value > 0.0;
-        Some(Estimate { value, interval: enough.then(|| self.bonett(level, value)) })
+        Some(Estimated { value, interval: enough.then(|| self.bonett(level, value)) })
     }
 
     fn bonett(&self, level: f64, deviation: f64) -> Interval {
@@ -167,9 +167,9 @@ mod tests {
             (None, None, None, None)
         );
         let one = of(&[2.0]);
-        assert_eq!(one.mean_interval(0.95), Some(Estimate { value: 2.0, interval: None }));
+        assert_eq!(one.mean_interval(0.95), Some(Estimated { value: 2.0, interval: None }));
         assert_eq!((one.variance(), one.deviation_interval(0.95)), (None, None));
-        assert_eq!(of(&[7.0; 20]).deviation_interval(0.95), Some(Estimate { value: 0.0, interval: None }));
+        assert_eq!(of(&[7.0; 20]).deviation_interval(0.95), Some(Estimated { value: 0.0, interval: None }));
         assert_eq!(of(&[-1.0, -3.0]).root_mean(0.95), None);
     }
 

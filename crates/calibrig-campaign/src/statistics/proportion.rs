@@ -2,7 +2,7 @@
 
 use calibrig_model::statistics::clopper_pearson;
 
-use super::{Estimate, Interval};
+use super::{Estimated, Interval};
 
 /// A share of trials.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -46,11 +46,11 @@ impl Proportion {
 
     /// The share with its exact interval of confidence `level` (Clopper and Pearson), which holds for any number of trials and is rather too wide;
     /// `None` without trials, without an interval for more than 1e9.
-    pub fn interval(&self, level: f64) -> Option<Estimate> {
+    pub fn interval(&self, level: f64) -> Option<Estimated> {
         (self.trials > 0).then(|| {
             let (low, high) = clopper_pearson(self.hits, self.trials, level);
             let interval = (low <= high).then_some(Interval { low, high });
-            Estimate { value: self.hits as f64 / self.trials as f64, interval }
+            Estimated { value: self.hits as f64 / self.trials as f64, interval }
         })
     }
 }

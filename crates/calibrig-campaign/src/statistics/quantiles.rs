@@ -5,7 +5,7 @@ use std::error::Error;
 use calibrig_model::statistics::binomial_cdf;
 use serde::Serialize;
 
-use super::{Estimate, Interval};
+use super::{Estimated, Interval};
 
 /// Bits of a key that a pass tells apart.
 const DIGIT_BITS: u32 = 16;
@@ -18,7 +18,7 @@ pub struct Quantile {
     pub share: f64,
     /// Linear between the order statistics; the interval's ends are order statistics, so that it contains the quantile at least as often as its
     /// level says. `None` if there are too few values for that: fewer than 6 for a median at 95 %, than 72 for the 5 % quantile.
-    pub estimate: Estimate,
+    pub estimate: Estimated,
 }
 
 /// Quantiles of a column.
@@ -129,10 +129,10 @@ impl Ranks {
         [self.below, self.above].into_iter().chain(ends)
     }
 
-    fn estimate(&self, found: &OrderStatistics) -> Estimate {
+    fn estimate(&self, found: &OrderStatistics) -> Estimated {
         let value = between(found.at(self.below), found.at(self.above), self.part);
         let interval = self.interval.map(|(low, high)| Interval { low: found.at(low), high: found.at(high) });
-        Estimate { value, interval }
+        Estimated { value, interval }
     }
 }
 

@@ -1,6 +1,6 @@
 //! Two columns of the same trials.
 
-use super::{Estimate, Interval, Moments, student};
+use super::{Estimated, Interval, Moments, student};
 
 /// The ratio of the means of two columns, such as mean squared error over mean bound.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -43,16 +43,16 @@ impl RatioOfMeans {
     /// pair, and if the denominator's mean does not differ significantly from zero.
     ///
     /// Source: E. C. Fieller, "Some problems in interval estimation", J. Royal Statistical Society B 16 (1954), 175-185.
-    pub fn interval(&self, level: f64) -> Option<Estimate> {
+    pub fn interval(&self, level: f64) -> Option<Estimated> {
         let [x, y] = self.means;
         let value = x / y;
-        (self.count > 0 && value.is_finite()).then(|| Estimate { value, interval: self.fieller(level) })
+        (self.count > 0 && value.is_finite()).then(|| Estimated { value, interval: self.fieller(level) })
     }
 
     /// The root of the ratio, such as RMSE over bound, with its interval, whose ends are the roots of the ratio's; `None` also for a ratio below zero.
-    pub fn root(&self, level: f64) -> Option<Estimate> {
+    pub fn root(&self, level: f64) -> Option<Estimated> {
         let ratio = self.interval(level).filter(|r| r.value >= 0.0)?;
-        Some(Estimate { value: ratio.value.sqrt(), interval: ratio.interval.map(Interval::root) })
+        Some(Estimated { value: ratio.value.sqrt(), interval: ratio.interval.map(Interval::root) })
     }
 
     /// Between the roots in r of `(x - r y)² = t² var(x - r y)`.
@@ -87,7 +87,7 @@ impl PairedDifference {
     }
 
     /// The mean of the second minus the first with its interval of confidence `level` (Student's t); `None` without pairs.
-    pub fn interval(&self, level: f64) -> Option<Estimate> {
+    pub fn interval(&self, level: f64) -> Option<Estimated> {
         self.0.mean_interval(level)
     }
 }
@@ -110,7 +110,7 @@ mod tests {
         ratio.add(f64::NAN, 1.0);
         ratio.add(1.0, None);
         ratio.add(8.0, 2.0);
-        assert_eq!(ratio.root(0.95), Some(Estimate { value: 2.0, interval: None }));
+        assert_eq!(ratio.root(0.95), Some(Estimated { value: 2.0, interval: None }));
         ratio.add(12.0, 3.0);
         // The same ratio in every trial: nothing is left to chance.
         let interval = ratio.interval(0.5).and_then(|r| r.interval).expect("two pairs");
@@ -120,7 +120,7 @@ mod tests {
         let mut wild = RatioOfMeans::default();
         wild.add(1.0, -1.0);
         wild.add(1.0, 2.0);
-        assert_eq!(wild.interval(0.95), Some(Estimate { value: 2.0, interval: None }));
+        assert_eq!(wild.interval(0.95), Some(Estimated { value: 2.0, interval: None }));
         // A constant denominator leaves the interval of the mean.
         let (mut constant, mut mean) = (RatioOfMeans::default(), Moments::default());
         for value in [1.0, 2.0, 4.0] {

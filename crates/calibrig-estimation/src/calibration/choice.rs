@@ -10,7 +10,7 @@ use crate::identification::{
 };
 use crate::validation::{held_out_errors, in_order};
 use calibrig_model::measurement::MeasurementSet;
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::{CalibrationModel, FAMILIES, ParameterId, TermId};
 
 /// Confidence of the intervals.
@@ -267,7 +267,7 @@ fn fit(
 /// Splits of the observations that keep those of one pose together: they share its errors.
 pub(super) fn pose_folds(set: &MeasurementSet, folds: usize, seed: u64) -> Vec<Split> {
     let poses = distinct_poses(set);
-    let mut rng = stream(seed, 0, Source::Folds);
+    let mut rng = stream(seed, 0, StreamSource::Folds);
     let observations = |part: &[usize]| {
         let chosen: BTreeSet<_> = part.iter().map(|place| poses[*place]).collect();
         let all = set.observations.iter().enumerate();

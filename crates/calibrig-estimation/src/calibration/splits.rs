@@ -7,7 +7,7 @@ use crate::evaluation::{Interval, repeated_splits, resampled_difference};
 use crate::identification::{Estimate, IdentificationOptions, Mode, Warning};
 use calibrig_model::CalibrationModel;
 use calibrig_model::measurement::{MeasurementSet, SetKind, SetOutcome};
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 
 /// Confidence of the intervals.
 const LEVEL: f64 = 0.95;
@@ -110,8 +110,12 @@ pub fn repeat_splits(
             gain: None,
         })
         .collect();
-    let splits =
-        repeated_splits(poses.len(), plan.fitted, plan.splits, &mut stream(plan.seed, 0, Source::Splits));
+    let splits = repeated_splits(
+        poses.len(),
+        plan.fitted,
+        plan.splits,
+        &mut stream(plan.seed, 0, StreamSource::Splits),
+    );
     for (done, split) in splits.iter().enumerate() {
         let sets =
             [part(SetKind::Identification, &split.fitted), part(SetKind::Verification, &split.held_out)];

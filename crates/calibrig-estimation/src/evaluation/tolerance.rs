@@ -329,7 +329,7 @@ pub fn isotropic_bound(errors: &[f64], coverage: f64, confidence: f64) -> Result
 #[cfg(test)]
 mod tests {
     use super::*;
-    use calibrig_model::random::{Source, stream};
+    use calibrig_model::random::{StreamSource, stream};
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution, StandardNormal};
 
@@ -393,11 +393,11 @@ mod tests {
 
     /// Number of 4000 samples in which a bound is above the quantile of a population, which a million other draws give.
     fn held(sigmas: [f64; 3], mean: f64, n: usize, bound: impl Fn(&[f64]) -> f64) -> u64 {
-        let mut rng = stream(11, 0, Source::Splits);
+        let mut rng = stream(11, 0, StreamSource::Splits);
         let mut all: Vec<f64> = (0..1_000_000).map(|_| length(&mut rng, sigmas, mean)).collect();
         all.sort_by(f64::total_cmp);
         let quantile = all[950_000];
-        let mut rng = stream(12, 0, Source::Splits);
+        let mut rng = stream(12, 0, StreamSource::Splits);
         let holds = |_: &usize| {
             let errors: Vec<f64> = (0..n).map(|_| length(&mut rng, sigmas, mean)).collect();
             bound(&errors) >= quantile
@@ -436,7 +436,7 @@ mod tests {
     /// stated.
     #[test]
     fn normal_intervals_hold_as_often_as_they_say() {
-        let mut rng = stream(14, 0, Source::Splits);
+        let mut rng = stream(14, 0, StreamSource::Splits);
         let far = normal_quantile(0.975);
         let (mut low, mut high, mut both) = (0, 0, 0);
         for _ in 0..4000 {
@@ -485,7 +485,7 @@ mod tests {
         assert!(share_below_largest(58, 0.95).expect("a share") < 0.95);
         assert_eq!(stays_largest(40, 40), Ok(0.5));
         // Forty errors, then ten: counts how often the ten stay below.
-        let mut rng = stream(13, 0, Source::Splits);
+        let mut rng = stream(13, 0, StreamSource::Splits);
         let stays = |_: &usize| {
             let mut largest = |n: usize| (0..n).map(|_| length(&mut rng, [1.0; 3], 0.0)).fold(0.0, f64::max);
             largest(40) > largest(10)

@@ -11,7 +11,7 @@ use crate::elastostatics::put;
 use calibrig_files::load_robot;
 use calibrig_model::geometry::{rotation_x, translation};
 use calibrig_model::measurement::{MeasurementSet, NestObservation, Observation, Reading, Station, Target};
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::{CalibrationModel, Compliance, LinkageTerm, ParameterId, PointLoad, TermId};
 
 const SIGMA: f64 = 1e-5;
@@ -48,7 +48,7 @@ pub(super) fn truth(
 /// Poses about the middle of the limits, approached from both sides, as `robot` takes them, with `noise` standard deviations of noise.
 pub(super) fn measure(robot: &CalibratedRobot, poses: usize, noise: f64) -> MeasurementSet {
     let links = &robot.model.kinematics.links;
-    let mut rng = stream(5, 0, Source::IdentificationNoise);
+    let mut rng = stream(5, 0, StreamSource::IdentificationNoise);
     let covariance = Matrix3::identity() * SIGMA * SIGMA;
     let station = robot.stations[0];
     let mut set = MeasurementSet {

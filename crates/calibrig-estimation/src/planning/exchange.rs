@@ -8,7 +8,7 @@ use super::closed::Closed;
 use super::screened::{Screened, first_of};
 use super::space::DesignSpace;
 use super::{Criterion, DesignFigures, PlanError};
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 
 /// Least change that counts as an improvement: of the criterion's value, or of the logarithm of a determinant.
 const LEAST_GAIN: f64 = 1e-9;
@@ -269,7 +269,7 @@ impl<'s> Search<'s> {
     }
 
     fn random(&self, choice: &Choice, start: u32) -> Vec<usize> {
-        let mut rng = stream(choice.seed, start, Source::PlannedStarts);
+        let mut rng = stream(choice.seed, start, StreamSource::PlannedStarts);
         let candidates = self.spaces[0].candidates();
         if choice.repeats {
             return (0..choice.count).map(|_| rng.random_range(0..candidates)).collect();

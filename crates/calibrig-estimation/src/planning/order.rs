@@ -5,7 +5,7 @@ use rand::seq::SliceRandom;
 use serde::{Deserialize, Serialize};
 
 use super::{DesignSpace, PlanError};
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 
 /// Longest piece that is moved as a whole (I. Or, 1976).
 const LONGEST_PIECE: usize = 3;
@@ -278,7 +278,7 @@ impl<'a> OrderSearch<'a> {
         beginnings.extend((0..self.poses).step_by(apart).map(|first| self.nearest(first, vec![first])));
         for start in 0..SHUFFLED_STARTS {
             let mut order: Vec<usize> = (0..self.poses).collect();
-            order.shuffle(&mut stream(0, start, Source::PlannedOrder));
+            order.shuffle(&mut stream(0, start, StreamSource::PlannedOrder));
             beginnings.push(order);
         }
         beginnings

@@ -8,7 +8,7 @@ use crate::identification::{
     Estimate, IdentificationOptions, NoiseScale, PlannedRows, PlannedSystem, PredictionError, Tolerance,
 };
 use calibrig_model::measurement::MeasurementSet;
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::{CalibrationModel, ModelError, ParameterId, PoseQuery};
 
 /// Number of rows of a point that is seen once.
@@ -133,7 +133,7 @@ impl<'a> PlannedSession<'a> {
         let mut spaces = vec![self.space(scale)?];
         let scale = ParameterScale::Given(spaces[0].scale().to_vec());
         for robot in 0..robots {
-            let x = self.system.drawn(tolerance, &mut stream(seed, robot, Source::PlannedRobots));
+            let x = self.system.drawn(tolerance, &mut stream(seed, robot, StreamSource::PlannedRobots));
             let robot = robot as usize;
             let rows = self.system.rows(Some(&x)).map_err(|source| PlanError::Drawn { robot, source })?;
             spaces.push(self.space_of(Some(&x), &merged(rows), &scale)?);

@@ -9,7 +9,7 @@ use calibrig_estimation::identification::{
 use calibrig_estimation::kinematics::target_in_base;
 use calibrig_model::measurement::{MeasurementSet, Observation, Reading, Target};
 use calibrig_model::nalgebra::Vector3;
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::statistics::binomial_cdf;
 use calibrig_model::{CalibrationModel, CraigLink, LinkTerm, ParameterId};
 use rand::RngExt;
@@ -61,7 +61,7 @@ pub fn session(
     poses: usize,
     trial: u32,
 ) -> (Vec<f64>, MeasurementSet) {
-    let mut rng = stream(11, trial, Source::AsBuilt);
+    let mut rng = stream(11, trial, StreamSource::AsBuilt);
     let mut machine = model.kinematics.clone();
     let mut truth = Vec::new();
     for id in ids {
@@ -187,7 +187,7 @@ fn three_targets(model: &CalibrationModel, ids: &[ParameterId], trial: u32) -> (
     let (truth, plain) = session(model, ids, 40, trial);
     let mut machine = model.kinematics.clone();
     ids.iter().zip(&truth).for_each(|(id, value)| machine.add(*id, *value));
-    let mut rng = stream(12, trial, Source::IdentificationNoise);
+    let mut rng = stream(12, trial, StreamSource::IdentificationNoise);
     let (joints, noise) =
         (Normal::new(0.0, 0.2e-3).expect("a width"), Normal::new(0.0, NOISE).expect("a width"));
     let targets = [TARGET, Vector3::new(-0.1, 0.05, 0.05), Vector3::new(0.0, -0.1, 0.15)];

@@ -5,7 +5,7 @@ use calibrig_estimation::kinematics::forward_kinematics;
 use calibrig_model::CalibrationModel;
 use calibrig_model::measurement::{MeasurementSet, Reading};
 use calibrig_model::nalgebra::{Rotation3, Vector3};
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use rand::RngExt;
 
 use crate::coverage::{NOISE, links, robots, session};
@@ -110,7 +110,7 @@ fn a_misfit_is_not_taken_for_several_sessions() {
     for trial in 0..trials {
         for lack in ["nothing", "play", "drift", "sines"] {
             let (model, mut set) = sound(trial, [20, 40, 80][trial as usize % 3]);
-            let mut rng = stream(23, trial, Source::IdentificationNoise);
+            let mut rng = stream(23, trial, StreamSource::IdentificationNoise);
             let count = set.observations.len() as f64;
             for (index, observation) in set.observations.iter_mut().enumerate() {
                 let shares: Vec<f64> = (0..observation.command.len())

@@ -14,7 +14,7 @@ use calibrig_model::measurement::{
     remove_drift,
 };
 use calibrig_model::nalgebra::{DMatrix, DVector, Matrix3, Matrix3x6, Vector3, Vector6};
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::statistics::chi2_survival;
 use calibrig_model::{CalibrationModel, KinematicModel, LinkTerm, ParameterId};
 use rand::{Rng, RngExt};
@@ -43,7 +43,7 @@ fn options() -> IdentificationOptions {
 /// A session of a machine that is as its model, whose tracker walks on its stand; every so many poses the nests are measured, and before and after
 /// all. Beside it where the tracker stood on the average of the nests' readings.
 fn session(machine: &KinematicModel, (poses, every): (u32, u32), trial: u32) -> (MeasurementSet, Transform) {
-    let mut rng = stream(31, trial, Source::IdentificationNoise);
+    let mut rng = stream(31, trial, StreamSource::IdentificationNoise);
     let stand = translation(0.3, -0.2, 2.2) * rotation_z(0.7) * rotation_x(1.3);
     let (mut walk, mut at, mut sum) = (Vector6::zeros(), 0.0, Vector6::zeros());
     let mut see = |point: &Vector3<f64>, time: f64, share: f64, rng: &mut _| {
@@ -270,7 +270,7 @@ fn the_fit_is_that_of_generalised_least_squares_with_all_readings_in_one_covaria
 
 /// Links that are off by draws of 0.5 mm and 1 mrad.
 fn drawn(model: &CalibrationModel, ids: &[ParameterId], trial: u32) -> (KinematicModel, Vec<f64>) {
-    let mut rng = stream(32, trial, Source::AsBuilt);
+    let mut rng = stream(32, trial, StreamSource::AsBuilt);
     let mut machine = model.kinematics.clone();
     let mut draw = |id: &ParameterId| {
         let ParameterId::Link { term, .. } = id else { return 0.0 };
@@ -290,7 +290,7 @@ fn elsewhere(
     place: &Transform,
     trial: u32,
 ) -> MeasurementSet {
-    let mut rng = stream(33, trial, Source::VerificationNoise);
+    let mut rng = stream(33, trial, StreamSource::VerificationNoise);
     let mut places = MeasurementSet { observations: set.observations[..1].to_vec(), ..set.clone() };
     let observation = &mut places.observations[0];
     observation.command.fill_with(|| rng.random_range(-0.8 * PI..0.8 * PI));

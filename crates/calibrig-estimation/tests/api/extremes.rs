@@ -6,7 +6,7 @@ use calibrig_estimation::identification::{Estimate, IdentificationOptions, Mode,
 use calibrig_estimation::kinematics::target_in_base;
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::nalgebra::Vector3;
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::{CalibrationModel, CraigLink};
 use rand::RngExt;
 
@@ -38,7 +38,7 @@ fn measured(model: &CalibrationModel, poses: usize, off: f64) -> MeasurementSet 
         link.a += off * f64::from(index % 3);
         link.d -= off * f64::from(index % 2);
     }
-    let mut rng = stream(14, 0, Source::Splits);
+    let mut rng = stream(14, 0, StreamSource::Splits);
     let points = (0..poses).map(|_| {
         let limits = real.links.iter().map(|link| link.limits);
         let q: Vec<f64> = limits.map(|[low, high]| rng.random_range(low..=high)).collect();
@@ -110,7 +110,7 @@ fn one_pose_gives_an_estimate_that_says_how_little_it_knows() {
 
 #[test]
 fn sixty_joints_are_identified() {
-    let mut rng = stream(60, 0, Source::Splits);
+    let mut rng = stream(60, 0, StreamSource::Splits);
     let mut link = |_| {
         let turns = [0.0, FRAC_PI_2, -FRAC_PI_2];
         turning(rng.random_range(0.0..0.2), turns[rng.random_range(0..3)], rng.random_range(-0.1..0.1))

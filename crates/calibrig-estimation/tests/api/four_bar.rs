@@ -9,7 +9,7 @@ use calibrig_estimation::identification::{
 use calibrig_model::geometry::{Transform, rotation_z, translation};
 use calibrig_model::measurement::{MeasurementSet, NestObservation, Reading};
 use calibrig_model::nalgebra::{DMatrix, Matrix3, Point3, Vector3};
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::{CalibrationModel, JointKind, LinkageTerm, ParameterId};
 use rand::RngExt;
 
@@ -27,7 +27,7 @@ fn rigid(name: &str) -> CalibrationModel {
 
 /// Commands of joints in the middle half of their limits.
 fn commands(model: &CalibrationModel, count: usize) -> Vec<Vec<f64>> {
-    let mut rng = stream(41, 0, Source::IdentificationPoses);
+    let mut rng = stream(41, 0, StreamSource::IdentificationPoses);
     let links = &model.kinematics.links;
     let drawn = |_| {
         let joints: Vec<f64> = links

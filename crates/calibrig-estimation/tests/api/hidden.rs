@@ -6,7 +6,7 @@ use calibrig_estimation::identification::{
 use calibrig_estimation::kinematics::target_in_base;
 use calibrig_model::measurement::{MeasurementSet, Observation, Reading, Target};
 use calibrig_model::nalgebra::{Matrix3, Vector3};
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::{CalibrationModel, LinkTerm, ParameterId};
 use rand::RngExt;
 use rand_distr::{Distribution, Normal};
@@ -75,7 +75,7 @@ fn of_readings_of_one_pose_the_wrong_one_is_named() {
     let targets = [[0.05, 0.08, 0.12], [-0.1, 0.05, 0.15], [0.02, -0.12, 0.1]].map(Vector3::from);
     for trial in 0..6 {
         for stated in [true, false] {
-            let mut rng = stream(31, trial, Source::IdentificationNoise);
+            let mut rng = stream(31, trial, StreamSource::IdentificationNoise);
             let (joint, own) =
                 (Normal::new(0.0, 1e-4).expect("a width"), Normal::new(0.0, NOISE).expect("a width"));
             let mut set = MeasurementSet::of_points([]);

@@ -13,7 +13,7 @@ use calibrig_model::measurement::{
     StatedDrift, StatedInstrument, Station, Target,
 };
 use calibrig_model::nalgebra::{Matrix3, Point3, Vector3, Vector6};
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::statistics::binomial_cdf;
 use calibrig_model::{CalibrationModel, KinematicModel, ParameterId, Unit};
 use rand::{Rng, RngExt};
@@ -188,7 +188,7 @@ fn exact_readings_in_both_faces_give_the_errors_of_the_instrument() {
         back_every: 1,
         certified: 0.0,
     };
-    let set = plan.measure(&mut stream(3, 0, Source::IdentificationPoses));
+    let set = plan.measure(&mut stream(3, 0, StreamSource::IdentificationPoses));
     let estimate = identify(&model, &set, &IdentificationOptions::default()).expect("an estimate");
     for (term, size) in &tracker.errors {
         let id = ParameterId::Instrument { instrument: 0, term: *term };
@@ -257,7 +257,7 @@ fn sessions(poses: u32, trials: u32, choice: InstrumentChoice) -> Held {
     let mut held = Held::default();
     let mut ids = Vec::new();
     for trial in 0..=trials {
-        let mut rng = stream(17, trial, Source::AsBuilt);
+        let mut rng = stream(17, trial, StreamSource::AsBuilt);
         let mut machine = model.kinematics.clone();
         let mut truth = Vec::new();
         for id in &ids {
@@ -354,7 +354,7 @@ fn an_instrument_out_of_specification_is_told() {
         back_every: 4,
         certified: CERTIFIED,
     };
-    let set = plan.measure(&mut stream(23, 0, Source::IdentificationPoses));
+    let set = plan.measure(&mut stream(23, 0, StreamSource::IdentificationPoses));
     let estimate = identify(&model, &set, &IdentificationOptions::default()).expect("an estimate");
     let told: Vec<_> = estimate.contradicted.iter().map(|c| (c.stated.clone(), c.to_string())).collect();
     let found = told.iter().find_map(|(stated, _)| match stated {
@@ -385,7 +385,7 @@ fn a_steady_drift_is_identified_with_the_robot() {
         back_every: 0,
         certified: 0.0,
     };
-    let set = plan.measure(&mut stream(29, 0, Source::IdentificationPoses));
+    let set = plan.measure(&mut stream(29, 0, StreamSource::IdentificationPoses));
     let estimate = identify(&model, &set, &IdentificationOptions::default()).expect("an estimate");
     for component in 0..6 {
         let found = estimate.value(ParameterId::Drift { station: 0, component }).expect("a parameter");
@@ -422,7 +422,7 @@ fn what_the_nominal_robot_is_off_by_is_not_the_instruments() {
         back_every: 0,
         certified: CERTIFIED,
     };
-    let mut set = plan.measure(&mut stream(31, 0, Source::IdentificationPoses));
+    let mut set = plan.measure(&mut stream(31, 0, StreamSource::IdentificationPoses));
     set.targets[0].covariance = None;
     let robot = without_calibration(&model, &set, Loss::Squared).expect("a robot laid over the points");
     assert!(robot.instruments.is_empty(), "{:?}", robot.instruments);

@@ -12,7 +12,7 @@ use calibrig_estimation::identification::{
 use calibrig_estimation::validation::{held_out_errors, in_order, subset};
 use calibrig_model::ParameterId;
 use calibrig_model::nalgebra::{DMatrix, DVector, Matrix3, Vector3};
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use proptest::prelude::*;
 
 use crate::robots::arm;
@@ -125,7 +125,7 @@ proptest! {
 
     #[test]
     fn splits_hold_what_is_there(count in 0..20_usize, folds in 0..25_usize, repeats in 0..4_usize, seed in any::<u64>()) {
-        let mut rng = stream(seed, 0, Source::AsBuilt);
+        let mut rng = stream(seed, 0, StreamSource::AsBuilt);
         let mut all = k_fold(count, folds, &mut rng);
         all.extend(leave_one_out(count));
         all.extend(repeated_splits(count, folds, repeats, &mut rng));

@@ -11,7 +11,7 @@ use calibrig_model::measurement::{
     MeasurementSet, Observation, PoseReading, Reading, Station, Target, TargetOrientation, combine,
 };
 use calibrig_model::nalgebra::{Cholesky, Matrix3, Matrix6, Rotation3, Vector3, Vector6};
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::statistics::chi2_survival;
 use calibrig_model::{CalibrationModel, LinkTerm, ParameterId};
 use rand::RngExt;
@@ -128,7 +128,7 @@ fn free() -> IdentificationOptions {
 }
 
 fn selected(model: &CalibrationModel, options: &IdentificationOptions) -> Vec<ParameterId> {
-    let mut rng = stream(2, 0, Source::IdentificationPoses);
+    let mut rng = stream(2, 0, StreamSource::IdentificationPoses);
     let set = measured(model, 40, None, Some(&covariance(TURN)), &mut rng);
     links(&identify(model, &set, options).expect("an estimate"))
 }
@@ -140,7 +140,7 @@ fn exact_poses_give_exact_parameters_and_an_orientation_that_nobody_stated() {
         // Four a turning joint and six in all, less the ends'.
         let expected = 4 * model.kinematics.joint_count() + 6 - 12;
         assert_eq!(ids.len(), expected, "{ids:?}");
-        let mut rng = stream(3, 0, Source::AsBuilt);
+        let mut rng = stream(3, 0, StreamSource::AsBuilt);
         let (truth, machine) = machine(&model, &ids, &mut rng);
         let set = measured(&machine, 40, None, Some(&covariance(TURN)), &mut rng);
         let estimate = identify(&model, &set, &free()).expect("an estimate");
@@ -160,7 +160,7 @@ fn exact_poses_give_exact_parameters_and_an_orientation_that_nobody_stated() {
 #[test]
 fn an_unknown_orientation_may_be_half_a_turn_from_the_stated_one() {
     let [model, _] = robots();
-    let mut rng = stream(4, 0, Source::AsBuilt);
+    let mut rng = stream(4, 0, StreamSource::AsBuilt);
     let mut set = measured(&model, 30, None, Some(&covariance(TURN)), &mut rng);
     let half = Rotation3::new(std::f64::consts::PI * Vector3::y());
     let orientation = TargetOrientation { flange_from_target: mounted() * half, covariance: None };
@@ -179,7 +179,7 @@ fn stated_intervals_of_full_poses_hold_as_often_as_they_say() {
     let mut held = vec![0; ids.len()];
     let (mut small, mut large, mut turned) = (0, 0, 0.0);
     for trial in 0..trials {
-        let mut rng = stream(12, trial, Source::AsBuilt);
+        let mut rng = stream(12, trial, StreamSource::AsBuilt);
         let (truth, machine) = machine(&model, &ids, &mut rng);
         let noise = covariance(TURN);
         let set = measured(&machine, 30, Some(&noise), Some(&noise), &mut rng);
@@ -220,7 +220,7 @@ fn three_points_and_their_combined_pose_say_the_same() {
     let [model, _] = robots();
     let places =
         [Vector3::new(0.1, 0.0, 0.02), Vector3::new(-0.05, 0.09, 0.0), Vector3::new(-0.06, -0.07, -0.01)];
-    let mut rng = stream(6, 0, Source::AsBuilt);
+    let mut rng = stream(6, 0, StreamSource::AsBuilt);
     let ids = selected(&model, &free());
     let (_, machine) = machine(&model, &ids, &mut rng);
     let point = |place: &Vector3<f64>| Target {
@@ -294,7 +294,7 @@ fn noise_that_nobody_stated_is_found_of_places_and_of_orientations() {
     let trials = 100;
     let (mut held, mut squares) = (vec![0; ids.len()], 0.0);
     for trial in 0..trials {
-        let mut rng = stream(13, trial, Source::AsBuilt);
+        let mut rng = stream(13, trial, StreamSource::AsBuilt);
         let (truth, machine) = machine(&model, &ids, &mut rng);
         let set = measured(&machine, 40, Some(&noise), None, &mut rng);
         let estimate = identify(&model, &set, &free()).expect("an estimate");
@@ -319,7 +319,7 @@ fn noise_that_nobody_stated_is_found_of_places_and_of_orientations() {
 fn orientations_that_scatter_by_more_than_stated_do_not_drag_the_fit() {
     let [model, _] = robots();
     let ids = selected(&model, &free());
-    let mut rng = stream(14, 0, Source::AsBuilt);
+    let mut rng = stream(14, 0, StreamSource::AsBuilt);
     let (truth, machine) = machine(&model, &ids, &mut rng);
     let diagonal = |turn: f64| {
         let sigmas = Vector6::new(PLACE, PLACE, PLACE, turn, turn, turn);
@@ -345,7 +345,7 @@ fn orientations_that_scatter_by_more_than_stated_do_not_drag_the_fit() {
 #[test]
 fn errors_of_actuators_explain_places_and_orientations_together() {
     let [model, _] = robots();
-    let mut rng = stream(17, 0, Source::AsBuilt);
+    let mut rng = stream(17, 0, StreamSource::AsBuilt);
     let sigmas = Vector6::new(PLACE, PLACE, PLACE, 2e-5, 2e-5, 2e-5);
     let noise = Matrix6::from_diagonal(&sigmas.component_mul(&sigmas));
     let mut set = empty(vec![target(None)]);
@@ -374,7 +374,7 @@ fn errors_of_actuators_explain_places_and_orientations_together() {
 fn spoiled() -> (CalibrationModel, Vec<ParameterId>, Vec<f64>, MeasurementSet) {
     let [model, _] = robots();
     let ids = selected(&model, &free());
-    let mut rng = stream(15, 0, Source::AsBuilt);
+    let mut rng = stream(15, 0, StreamSource::AsBuilt);
     let (truth, machine) = machine(&model, &ids, &mut rng);
     let sigmas = Vector6::new(PLACE, PLACE, PLACE, TURN, TURN, TURN);
     let noise = Matrix6::from_diagonal(&sigmas.component_mul(&sigmas));
@@ -474,7 +474,7 @@ fn full_poses_determine_the_published_set_at_the_wrist_centre() {
 #[test]
 fn an_estimate_from_poses_is_linearised_and_predicts() {
     let [model, _] = robots();
-    let mut rng = stream(16, 0, Source::AsBuilt);
+    let mut rng = stream(16, 0, StreamSource::AsBuilt);
     let noise = covariance(TURN);
     let set = measured(&model, 30, Some(&noise), Some(&noise), &mut rng);
     let estimate: Estimate = identify(&model, &set, &free()).expect("an estimate");
@@ -493,7 +493,7 @@ fn an_estimate_from_poses_is_linearised_and_predicts() {
 #[test]
 fn a_wrong_convention_of_rotations_is_told() {
     let [model, _] = robots();
-    let mut rng = stream(71, 0, Source::IdentificationPoses);
+    let mut rng = stream(71, 0, StreamSource::IdentificationPoses);
     let known = covariance(TURN);
     let mut set = measured(&model, 40, Some(&known), Some(&known), &mut rng);
     let reasons = |set: &MeasurementSet| -> Vec<_> {

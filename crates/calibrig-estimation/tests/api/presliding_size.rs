@@ -6,7 +6,7 @@ use calibrig_estimation::identification::{
 use calibrig_estimation::kinematics::target_in_base;
 use calibrig_model::measurement::{MeasurementSet, Motion};
 use calibrig_model::nalgebra::Vector3;
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::statistics::binomial_cdf;
 use calibrig_model::{LinkTerm, ParameterId, TermId};
 use rand::RngExt;
@@ -31,7 +31,7 @@ struct Friction {
 }
 
 fn session(friction: Friction, poses: usize, trial: u32, noise: f64) -> MeasurementSet {
-    let mut rng = stream(57, trial, Source::IdentificationNoise);
+    let mut rng = stream(57, trial, StreamSource::IdentificationNoise);
     let [model, _] = robots();
     let mut machine = model.kinematics.clone();
     for link in 0..6 {

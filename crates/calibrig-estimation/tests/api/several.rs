@@ -6,7 +6,7 @@ use calibrig_estimation::identification::{
 use calibrig_estimation::kinematics::target_in_base;
 use calibrig_model::measurement::{MeasurementSet, Reading, Target};
 use calibrig_model::nalgebra::{Matrix3, Vector3};
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::statistics::binomial_cdf;
 use calibrig_model::{CalibrationModel, ParameterId};
 use rand::RngExt;
@@ -47,8 +47,8 @@ impl Case {
         let (truth, plain) = session(model, ids, self.poses, trial);
         let mut machine = model.kinematics.clone();
         ids.iter().zip(&truth).for_each(|(id, value)| machine.add(*id, *value));
-        let mut rng = stream(41, trial, Source::IdentificationNoise);
-        let mut gross = stream(42, trial, Source::Outliers);
+        let mut rng = stream(41, trial, StreamSource::IdentificationNoise);
+        let mut gross = stream(42, trial, StreamSource::Outliers);
         let normal = |sigma: f64| Normal::new(0.0, sigma).expect("a width");
         let (joints, noise, placed) = (normal(self.joints), normal(self.own * NOISE), normal(OFFSET_SIGMA));
         let mut set = MeasurementSet { observations: Vec::new(), ..plain.clone() };

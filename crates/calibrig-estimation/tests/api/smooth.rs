@@ -6,7 +6,7 @@ use calibrig_estimation::identification::{
 use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::{MeasurementSet, Motion};
 use calibrig_model::nalgebra::Vector3;
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::statistics::binomial_cdf;
 use calibrig_model::{CalibrationModel, ParameterId, PoseQuery, TermId};
 use rand::RngExt;
@@ -38,7 +38,7 @@ fn session(
     trial: u32,
     noise: f64,
 ) -> MeasurementSet {
-    let mut rng = stream(23, trial, Source::IdentificationNoise);
+    let mut rng = stream(23, trial, StreamSource::IdentificationNoise);
     let robot = CalibratedRobot {
         instruments: Vec::new(),
         mode: Mode::Extended,
@@ -179,7 +179,7 @@ fn held_in(
     let ids = terms(&model, families);
     let mut counts: Vec<_> = ids.iter().map(|id| (*id, 0)).collect();
     for trial in 0..trials {
-        let mut rng = stream(24, trial, Source::AsBuilt);
+        let mut rng = stream(24, trial, StreamSource::AsBuilt);
         let draw = |id: &TermId| {
             let size = if id.family().key() == "spline" { larger } else { 1.0 };
             (*id, Normal::new(0.0, size * id.prior_sigma()).expect("a width").sample(&mut rng))
@@ -233,7 +233,7 @@ fn the_size_of_smooth_terms_is_found_where_nobody_states_it() {
         assert!((0.92..=0.98).contains(&share), "{share}");
         let model = arm();
         let ids = terms(&model, &["spline"]);
-        let mut rng = stream(25, 0, Source::AsBuilt);
+        let mut rng = stream(25, 0, StreamSource::AsBuilt);
         let normal = Normal::new(0.0, 1.0).expect("a width");
         let truth: Vec<_> =
             ids.iter().map(|id| (*id, larger * id.prior_sigma() * normal.sample(&mut rng))).collect();

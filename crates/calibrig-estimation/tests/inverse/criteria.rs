@@ -138,7 +138,8 @@ fn random_steps_along_the_self_motion_are_not_better() {
         let own = value(&found.command);
         assert!((own - found.criterion).abs() < 1e-6 * (1.0 + own.abs()), "{own} {}", found.criterion);
         let mut inverse = InverseKinematics::new(&model, tool()).expect("a robot");
-        let mut rng = calibrig_model::random::stream(16, 1, calibrig_model::random::Source::SolverStarts);
+        let mut rng =
+            calibrig_model::random::stream(16, 1, calibrig_model::random::StreamSource::SolverStarts);
         let mut compared = 0;
         for trial in 0..120 {
             let size = [0.1, 0.01][trial % 2];

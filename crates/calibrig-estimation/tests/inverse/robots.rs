@@ -8,7 +8,7 @@ use calibrig_estimation::kinematics::{forward_kinematics, joints_from_command};
 use calibrig_files::load_robot;
 use calibrig_model::geometry::{Transform, rotation_vector, rotation_x, translation};
 use calibrig_model::nalgebra::Vector3;
-use calibrig_model::random::{Source, stream_at};
+use calibrig_model::random::{StreamSource, stream_at};
 use calibrig_model::{CalibrationModel, CraigLink, ParameterId, TermId};
 use rand::RngExt;
 
@@ -40,7 +40,7 @@ pub fn tool() -> Tool {
 /// Joint variables within the limits, or within a turn where there are none, of which the followers follow; `None` where a follower's
 /// limits are passed.
 pub fn joints(model: &CalibrationModel, index: u64) -> Option<Vec<f64>> {
-    let mut rng = stream_at(16, 0, Source::SolverStarts, index);
+    let mut rng = stream_at(16, 0, StreamSource::SolverStarts, index);
     let mut draw = |link: &CraigLink| {
         let share = rng.random::<f64>();
         match link.limits {

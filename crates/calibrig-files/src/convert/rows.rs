@@ -134,7 +134,7 @@ fn end(last: &mut CraigLink, into: &Transform) -> Transform {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use calibrig_model::random::{Source as Stream, stream};
+    use calibrig_model::random::{StreamSource as Stream, stream};
     use rand::RngExt;
 
     /// The step's frame has its z axis on the line, and the line's own direction.

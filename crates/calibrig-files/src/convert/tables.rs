@@ -194,7 +194,7 @@ mod tests {
     use super::*;
     use crate::convert::{Convention, robot_from_dh};
     use crate::input::Source;
-    use calibrig_model::random::{Source as Stream, stream};
+    use calibrig_model::random::{StreamSource as Stream, stream};
 
     /// Chains of any axes: crossing, nearly parallel as an identified robot has them, exactly parallel, turned round.
     #[test]

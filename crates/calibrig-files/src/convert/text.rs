@@ -357,7 +357,7 @@ fn one_line(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use calibrig_model::random::{Source as Stream, stream};
+    use calibrig_model::random::{StreamSource as Stream, stream};
     use rand::RngExt;
 
     #[test]

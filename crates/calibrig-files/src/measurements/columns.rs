@@ -502,7 +502,7 @@ pub(super) mod own {
 
 /// Whose columns are looked for in a table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Part {
+pub(super) enum FilePart {
     /// All of them in one.
     Whole,
     /// Joints alone, with what joins them.
@@ -592,7 +592,7 @@ impl ColumnMap {
     }
 
     /// The columns to look for in a header, whatever of them it holds.
-    pub(super) fn wanted(&self, joints: &[JointKind], part: Part) -> Wanted {
+    pub(super) fn wanted(&self, joints: &[JointKind], part: FilePart) -> Wanted {
         let mut wanted = Wanted::default();
         for entry in self.mapping.iter().flat_map(|mapping| mapping.entries(part)) {
             wanted.names.extend(entry.names().map(str::to_owned));
@@ -605,14 +605,14 @@ impl ColumnMap {
         if self.mapping.is_some() && !self.or_own {
             return wanted;
         }
-        if part != Part::Joints {
+        if part != FilePart::Joints {
             let fixed = [own::POSE, own::STATION, own::TARGET, own::FACE, own::TIME, own::TEMPERATURE];
             let payload = [own::PAYLOAD, own::PAYLOAD_MASS];
             let fixed = fixed.iter().chain(&payload).chain(&own::PAYLOAD_CENTRE).chain(&own::PAYLOAD_FORCE);
             let fixed = fixed.chain(&own::SPHERICAL).chain(&own::CARTESIAN).chain(&own::ROTATION);
             wanted.names.extend(fixed.map(|name| (*name).to_owned()));
         }
-        if part != Part::Points {
+        if part != FilePart::Points {
             wanted.names.extend(joints.iter().enumerate().map(|(index, kind)| own::joint(index, *kind)));
         }
         wanted
@@ -796,9 +796,9 @@ fn own_uncertainty(header: &[&str], cartesian: bool, is_pose: bool) -> Result<Op
 
 impl Mapping {
     /// Every entry that is looked for in that part.
-    pub fn entries(&self, part: Part) -> Vec<&Entry> {
+    pub fn entries(&self, part: FilePart) -> Vec<&Entry> {
         let mut entries = self.needed(part);
-        if part != Part::Joints {
+        if part != FilePart::Joints {
             entries.extend(self.approach.iter().chain(&self.since_reversal));
             match &self.uncertainty {
                 Some(Uncertainty::Sigmas { columns, .. }) => entries.extend(columns),
@@ -817,21 +817,21 @@ impl Mapping {
         }
         if let Some([joints, points]) = self.join.as_ref().and_then(|join| join.keys.as_ref()) {
             match part {
-                Part::Whole => {}
-                Part::Joints => entries.push(joints),
-                Part::Points => entries.push(points),
+                FilePart::Whole => {}
+                FilePart::Joints => entries.push(joints),
+                FilePart::Points => entries.push(points),
             }
         }
         entries
     }
 
     /// Commands and position: what every row of a measurement has.
-    fn needed(&self, part: Part) -> Vec<&Entry> {
+    fn needed(&self, part: FilePart) -> Vec<&Entry> {
         let mut entries: Vec<&Entry> = Vec::new();
-        if part != Part::Points {
+        if part != FilePart::Points {
             entries.extend(&self.joints);
         }
-        if part != Part::Joints {
+        if part != FilePart::Joints {
             match &self.position {
                 PositionColumns::Cartesian { axes, .. } => entries.extend(axes),
                 PositionColumns::Spherical { range, azimuth, polar, .. } => {

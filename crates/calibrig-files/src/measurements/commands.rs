@@ -2,7 +2,7 @@
 
 use std::cell::Cell;
 
-use super::columns::{ColumnMap, Part, PositionColumns, RowOptions, Sets};
+use super::columns::{ColumnMap, FilePart, PositionColumns, RowOptions, Sets};
 use super::faces::Faces;
 use super::files::parse_measurements;
 use super::header::{Columns, FileColumns, Head, Position, Quantity};
@@ -26,7 +26,7 @@ pub fn parse_commands(
     map: &ColumnMap,
     joints: &[JointKind],
 ) -> Result<Vec<(u32, Vec<f64>)>, InputError> {
-    let wanted = map.wanted(joints, Part::Whole);
+    let wanted = map.wanted(joints, FilePart::Whole);
     let rows = Box::new(TextRows::of_text(&source.name, &source.text, &map.format().0, &wanted)?);
     let mut table = Table::find(rows, &wanted, map.format().1)?;
     let (head_row, own) = (table.head.clone(), table.columns.clone());

@@ -4,7 +4,7 @@ use std::cell::Cell;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use super::columns::{ColumnMap, JoinBy, Part, PoseList, RowOptions};
+use super::columns::{ColumnMap, FilePart, JoinBy, PoseList, RowOptions};
 use super::faces::{self, Faces};
 use super::header::{FileColumns, Head};
 use super::join::{Joints, Key, unmatched};
@@ -68,7 +68,7 @@ pub fn parse_measurements(
     map: &ColumnMap,
     joints: &[JointKind],
 ) -> Result<LoadedMeasurements, InputError> {
-    let wanted = map.wanted(joints, Part::Whole);
+    let wanted = map.wanted(joints, FilePart::Whole);
     let rows = Box::new(TextRows::of_text(&source.name, &source.text, &map.format().0, &wanted)?);
     read_rows(rows, map, joints)
 }
@@ -98,11 +98,11 @@ pub fn read_files(
     let format = map.format().0;
     let mut reading = Reading::new(map, joints, options);
     for file in &files.points {
-        let part = if files.joints.is_some() { Part::Points } else { Part::Whole };
+        let part = if files.joints.is_some() { FilePart::Points } else { FilePart::Whole };
         let rows = open(&file.path, &format, &map.wanted(joints, part), options)?;
         let commands = match &files.joints {
             Some(path) => {
-                let rows = open(path, &format, &map.wanted(joints, Part::Joints), options)?;
+                let rows = open(path, &format, &map.wanted(joints, FilePart::Joints), options)?;
                 Some(Joints::open(rows, map, joints)?)
             }
             None => None,
@@ -186,7 +186,7 @@ impl<'a> Reading<'a> {
         mut commands: Option<Joints>,
         target: Option<&str>,
     ) -> Result<(), InputError> {
-        let part = if commands.is_some() { Part::Points } else { Part::Whole };
+        let part = if commands.is_some() { FilePart::Points } else { FilePart::Whole };
         let wanted = self.map.wanted(self.joints, part);
         let mut table = Table::find(rows, &wanted, self.map.format().1)?;
         let file = table.name().to_owned();

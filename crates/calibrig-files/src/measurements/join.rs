@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use super::columns::{ColumnMap, ColumnRef, Entry, Join, JoinBy, Part};
+use super::columns::{ColumnMap, ColumnRef, Entry, FilePart, Join, JoinBy};
 use super::header::FileColumns;
 use super::layout::{Decimal, Table};
 use super::rows::{Place, Row, Rows};
@@ -59,7 +59,7 @@ impl Key {
 impl Joints {
     /// Finds the columns of the file, and reads it unless its rows correspond to those of the points.
     pub fn open(rows: Box<dyn Rows>, map: &ColumnMap, joints: &[JointKind]) -> Result<Self, InputError> {
-        let wanted = map.wanted(joints, Part::Joints);
+        let wanted = map.wanted(joints, FilePart::Joints);
         let table = Table::find(rows, &wanted, map.format().1)?;
         let mut file = Self { name: table.name().into(), table, by: By::Row, row: Row::default() };
         match map.join() {

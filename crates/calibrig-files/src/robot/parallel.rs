@@ -99,7 +99,7 @@ mod tests {
     use rand::RngExt;
 
     use super::*;
-    use calibrig_model::random::{Source, stream};
+    use calibrig_model::random::{StreamSource, stream};
 
     fn flange(chain: &KinematicModel, joints: &[f64]) -> Transform {
         let links = chain.links.iter().zip(joints);
@@ -143,7 +143,7 @@ mod tests {
 
     /// Axes of a robot, of which each of `parallel` is parallel to the one before, one way or the other, but for some tenths of a mrad.
     fn axes(parallel: &[usize], number: u32) -> Vec<(Vector3<f64>, Vector3<f64>)> {
-        let mut random = stream(3, number, Source::AsBuilt);
+        let mut random = stream(3, number, StreamSource::AsBuilt);
         let mut vector = |size: f64| Vector3::from_fn(|_, _| random.random_range(-size..size));
         let mut axes = vec![(vector(0.5), vector(1.0).normalize())];
         for i in 1..6 {
@@ -169,7 +169,7 @@ mod tests {
             for link in &near.links {
                 assert!(link.d.abs() < 10.0 && link.a.abs() < 10.0, "{link:?}");
             }
-            let mut random = stream(4, number, Source::AsBuilt);
+            let mut random = stream(4, number, StreamSource::AsBuilt);
             for _ in 0..50 {
                 let joints: Vec<f64> = (0..6).map(|_| random.random_range(-PI..PI)).collect();
                 let [one, other] = [&far, &near].map(|chain| flange(chain, &joints));

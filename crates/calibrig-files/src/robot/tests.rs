@@ -2,7 +2,7 @@
 
 use super::*;
 use calibrig_model::geometry::{Transform, rotation_x, rotation_z, translation};
-use calibrig_model::random::{Source as Stream, stream};
+use calibrig_model::random::{StreamSource as Stream, stream};
 use calibrig_model::{
     ActuatorMap, BeamRun, BearingSide, CrankAxis, FourBar, JointKind, KinematicModel, LinkageArm,
     SegmentLength,

@@ -441,7 +441,7 @@ mod tests {
     use super::*;
     use crate::robot::tests::base_from_flange;
     use crate::{load_robot, parse_robot};
-    use calibrig_model::random::{Source as Stream, stream};
+    use calibrig_model::random::{StreamSource as Stream, stream};
     use proptest::prelude::*;
     use rand::RngExt;
     use std::path::Path;

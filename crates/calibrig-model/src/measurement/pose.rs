@@ -136,7 +136,7 @@ impl PoseReading {
 mod tests {
     use super::super::{MeasurementSet, TargetOrientation};
     use super::*;
-    use crate::random::{Source, stream};
+    use crate::random::{StreamSource, stream};
     use crate::statistics::{chi2_survival, normal_quantile};
     use nalgebra::{Vector6, vector};
     use rand::RngExt;
@@ -169,7 +169,7 @@ mod tests {
     fn the_covariance_is_that_of_the_errors() {
         let (position, rotation) = truth();
         let sigmas = vector![1e-5, 3e-5, 2e-5];
-        let mut rng = stream(5, 0, Source::IdentificationNoise);
+        let mut rng = stream(5, 0, StreamSource::IdentificationNoise);
         let turn = Rotation3::new(vector![0.3, 0.2, -0.5]);
         let (mut sum, count) = (0.0, 2000);
         for _ in 0..count {

@@ -31,13 +31,14 @@ impl Repeatability {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use calibrig_model::random::{Source, stream_at};
+    use calibrig_model::random::{StreamSource, stream_at};
 
     #[test]
     fn errors_are_normal_independent_and_each_poses_own() {
         let repeatability = Repeatability { sigma: vec![2e-5, 0.0, 5e-5] };
         let n = 20_000_u32;
-        let draw = |pose| repeatability.draw(&mut stream_at(3, 0, Source::Repeatability, u64::from(pose)));
+        let draw =
+            |pose| repeatability.draw(&mut stream_at(3, 0, StreamSource::Repeatability, u64::from(pose)));
         let draws: Vec<_> = (0..n).map(draw).collect();
         let mean = |f: &dyn Fn(&[f64]) -> f64| draws.iter().map(|d| f(d)).sum::<f64>() / f64::from(n);
         let root = f64::from(n).sqrt();

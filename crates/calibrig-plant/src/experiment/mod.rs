@@ -132,12 +132,12 @@ const MOST_PASSES: usize = 10;
 #[cfg(test)]
 mod tests {
     use super::*;
-    use calibrig_model::random::{Source, stream};
+    use calibrig_model::random::{StreamSource, stream};
 
     #[test]
     fn a_short_way_goes_through_the_same_poses_and_is_shorter() {
         let region = WorkingRegion { centre: vec![0.0, 0.0, 5.0], half_width: vec![1.0, 2.0, 0.0] };
-        let mut rng = stream(4, 0, Source::IdentificationPoses);
+        let mut rng = stream(4, 0, StreamSource::IdentificationPoses);
         let drawn: Vec<_> = (0..200).map(|_| region.draw(&mut rng)).collect();
         let ordered = region.by_short_ways(drawn.clone());
         let length = |poses: &[Vec<f64>]| -> f64 {
@@ -161,7 +161,7 @@ mod tests {
     #[test]
     fn poses_stay_in_the_box_and_fill_it() {
         let region = WorkingRegion { centre: vec![1.0, -2.0], half_width: vec![0.5, 0.0] };
-        let mut rng = stream(1, 0, Source::IdentificationPoses);
+        let mut rng = stream(1, 0, StreamSource::IdentificationPoses);
         let poses: Vec<_> = (0..1000).map(|_| region.draw(&mut rng)).collect();
         assert!(poses.iter().all(|p| (0.5..=1.5).contains(&p[0]) && p[1] == -2.0));
         let mean = poses.iter().map(|p| p[0]).sum::<f64>() / 1000.0;

@@ -5,7 +5,7 @@ use rand::RngExt;
 
 use super::{Stand, WorkingRegion, clear_region, usable_ranges};
 use calibrig_model::geometry::translation;
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::visibility::{Obstacles, Room, TrackerReach};
 use calibrig_model::{ActuatorMap, CraigLink, KinematicModel};
 
@@ -57,7 +57,7 @@ fn no_pose_of_the_found_box_touches_floor_or_column_by_plane_geometry() {
     };
     let ranges = usable_ranges(&kinematics, 2.9, 1.0);
     assert!(ranges.iter().zip(&kinematics.links).all(|(r, l)| r[0] > l.limits[0] && r[1] < l.limits[1]));
-    let mut rng = stream(3, 0, Source::IdentificationPoses);
+    let mut rng = stream(3, 0, StreamSource::IdentificationPoses);
     let drawn = |rng: &mut rand_chacha::ChaCha8Rng| -> Vec<f64> {
         ranges.iter().map(|[low, high]| rng.random_range(*low..*high)).collect()
     };
@@ -96,7 +96,7 @@ fn what_touches_by_the_way_it_is_built_is_told_apart() {
         target,
         planes: &planes,
     };
-    let mut rng = stream(4, 0, Source::IdentificationPoses);
+    let mut rng = stream(4, 0, StreamSource::IdentificationPoses);
     let poses: Vec<Vec<f64>> =
         (0..400).map(|_| (0..4).map(|_| rng.random_range(-2.7..2.7)).collect()).collect();
     let built = room.survey(&poses);
@@ -129,7 +129,7 @@ fn the_tracker_stands_off_the_robot_where_it_sees_and_ends_that_it_does_not_see_
         robot: Vector3::zeros(),
     };
     let region = WorkingRegion { centre: vec![0.0, -0.8, 1.3, 0.3], half_width: vec![1.2, 0.4, 0.4, 0.5] };
-    let mut rng = stream(5, 0, Source::IdentificationPoses);
+    let mut rng = stream(5, 0, StreamSource::IdentificationPoses);
     let poses: Vec<_> = (0..300).map(|_| region.draw(&mut rng)).collect();
     let best = stand.best(&poses).expect("a place");
     assert!(best.position.xy().norm() >= 1.59 && best.position.z >= 0.3 && best.seen > 0.9, "{best:?}");

@@ -105,7 +105,7 @@ impl MeasuringSession<'_> {
             }
         }
         self.as_built.check_effects(end).map_err(|e| session(e.into()))?;
-        let mut noise = random::stream(seed, trial, random::Source::Iso9283Noise);
+        let mut noise = random::stream(seed, trial, random::StreamSource::Iso9283Noise);
         let trackers = self.trackers(&schedule, seed, trial).map_err(|e| session(e.into()))?;
         let mut test = CycleMeasurements {
             measurements: MeasurementSet {
@@ -130,7 +130,7 @@ impl MeasuringSession<'_> {
         for (cycle, pose, command) in lead_in.into_iter().chain(driven) {
             let time = schedule.duration + of_pose * f64::from(visited);
             let place = PLACE | u64::from(visited);
-            let mut own = random::stream_at(seed, trial, random::Source::Repeatability, place);
+            let mut own = random::stream_at(seed, trial, random::StreamSource::Repeatability, place);
             let (settled, effects) = controller
                 .go_to(machine, command, time, &mut own)
                 .map_err(|source| CycleError::Pose { pose, cycle, source })?;

@@ -159,7 +159,7 @@ impl MeasuringSession<'_> {
         let described = self.measure_nests(&trackers, &schedule, (seed, trial)).map_err(session)?;
         let mut set = empty_set(SetKind::Verification, &described, &self.measure_targets(seed, trial));
         let setup = Setup { trackers, mounted: self.mounted(seed, trial), seed, trial };
-        let mut noise = random::stream(seed, trial, random::Source::PathNoise);
+        let mut noise = random::stream(seed, trial, random::StreamSource::PathNoise);
         let mut controller = Controller::at_home(self, warmth);
         let mut attained = Vec::new();
         let total = u32::try_from(points.len()).unwrap_or(u32::MAX);
@@ -167,7 +167,7 @@ impl MeasuringSession<'_> {
         for (index, (command, time)) in points.iter().enumerate() {
             let pose = u32::try_from(index).unwrap_or(u32::MAX);
             let time = schedule.duration + time;
-            let mut own = random::stream_at(seed, trial, random::Source::Repeatability, PLACE);
+            let mut own = random::stream_at(seed, trial, random::StreamSource::Repeatability, PLACE);
             let (settled, effects) = controller
                 .go_to(machine, command, time, &mut own)
                 .map_err(|source| DriveError::Point { index, source })?;

@@ -21,7 +21,7 @@ use calibrig_model::measurement::{
     InstrumentTerm, MeasurementSet, Observation, Reading, SetKind, SetOutcome, SphericalReading, Station,
     Target,
 };
-use calibrig_model::random::{self, Source};
+use calibrig_model::random::{self, StreamSource};
 use calibrig_model::{ActuatorMap, JointKind, Payload};
 
 /// What is measured, where, and with what. The results are a pure function of this, the machine, the seed and the trial.
@@ -340,11 +340,11 @@ impl MeasuringSession<'_> {
             let time = self.time_of_visit(*start, visit);
             let place = entry(planned.kind, pose) | u64::from(visit) << 34;
             if let Some(beside) = self.beside(joints, visit) {
-                let mut own = random::stream_at(seed, trial, Source::Repeatability, place | VIA);
+                let mut own = random::stream_at(seed, trial, StreamSource::Repeatability, place | VIA);
                 let via = self.actuators.command_from_joints(&beside);
                 controller.pass(machine, &via, time, &mut own)?;
             }
-            let mut own = random::stream_at(seed, trial, Source::Repeatability, place);
+            let mut own = random::stream_at(seed, trial, StreamSource::Repeatability, place);
             let (settled, effects) = controller.go_to(machine, &command, time, &mut own)?;
             let share = self.plan.share;
             let visit =
@@ -395,7 +395,7 @@ impl MeasuringSession<'_> {
                 let missed = self.tracker.conditions.misses > 0.0
                     && is_missed(
                         self.tracker.conditions.misses,
-                        &mut random::stream_at(setup.seed, setup.trial, Source::Misses, reading),
+                        &mut random::stream_at(setup.seed, setup.trial, StreamSource::Misses, reading),
                     );
                 if !is_chosen {
                     continue;
@@ -452,13 +452,13 @@ impl MeasuringSession<'_> {
             return Reading::Spherical(place);
         };
         let base_from_flange = last * self.as_built.kinematics.last_from_flange;
-        let mut rng = random::stream_at(seed, trial, random::Source::ProbeNoise, at);
+        let mut rng = random::stream_at(seed, trial, random::StreamSource::ProbeNoise, at);
         Reading::Pose(Box::new(probe.measure(&place, &(tracker_from_base * base_from_flange), &mut rng)))
     }
 
     /// The error of the reading at that place of the streams, if it is a gross error.
     pub(super) fn outlier(&self, setup: &Setup, place: u64) -> Option<Vector3<f64>> {
-        self.outliers?.draw(&mut random::stream_at(setup.seed, setup.trial, Source::Outliers, place))
+        self.outliers?.draw(&mut random::stream_at(setup.seed, setup.trial, StreamSource::Outliers, place))
     }
 
     /// A vector of independent normal errors, or zero where the noise is off.
@@ -468,7 +468,7 @@ impl MeasuringSession<'_> {
     }
 
     pub(super) fn measure_targets(&self, seed: u64, trial: u32) -> Vec<Target> {
-        let mut rng = random::stream(seed, trial, Source::TargetOffset);
+        let mut rng = random::stream(seed, trial, StreamSource::TargetOffset);
         let sigma = self.target_covariance[(0, 0)].sqrt();
         // A coordinate measuring machine touches the sphere; the distance of the optical centre from its centre is the
         // maker's figure.
@@ -485,8 +485,9 @@ impl MeasuringSession<'_> {
             })
             .zip(std::iter::once(self.probe).chain(std::iter::repeat(None)))
             .map(|(target, probe)| {
-                let stated =
-                    |probe: &Probe| probe.stated(&mut random::stream(seed, trial, Source::ProbeMounting));
+                let stated = |probe: &Probe| {
+                    probe.stated(&mut random::stream(seed, trial, StreamSource::ProbeMounting))
+                };
                 Target { orientation: probe.map(stated), ..target }
             })
             .collect()

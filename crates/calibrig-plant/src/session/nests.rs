@@ -7,7 +7,7 @@ use super::schedule::{Round, Schedule};
 use super::{MeasuringSession, SessionError};
 use crate::tracker::{LaserTracker, Shot, Smr};
 use calibrig_model::measurement::{Face, NestObservation, Reading, SphericalReading, Station};
-use calibrig_model::random::{Source, stream, stream_at};
+use calibrig_model::random::{StreamSource, stream, stream_at};
 use calibrig_model::visibility::{Stance, stance_at};
 
 /// Place in the stream of reflectors of the one used for the nests: after all that can be on a flange.
@@ -21,9 +21,9 @@ impl MeasuringSession<'_> {
         schedule: &Schedule,
         (seed, trial): (u64, u32),
     ) -> Result<Vec<Station>, SessionError<E>> {
-        let mut rng = stream(seed, trial, Source::NestNoise);
+        let mut rng = stream(seed, trial, StreamSource::NestNoise);
         let smr = self.smr();
-        let mut seating = stream_at(seed, trial, Source::Smr, OF_NESTS);
+        let mut seating = stream_at(seed, trial, StreamSource::Smr, OF_NESTS);
         let smr = smr.map_or(Smr::PERFECT, |law| law.draw(&mut seating));
         let mut certified: Vec<NestObservation> = Vec::new();
         let names = std::iter::once("1").chain(self.plan.stations.iter().map(|s| s.name.as_str()));

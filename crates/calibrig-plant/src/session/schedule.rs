@@ -3,13 +3,13 @@
 use super::plan::{NestRounds, PoseOrder, SessionPlan};
 use crate::experiment::WorkingRegion;
 use calibrig_model::measurement::SetKind;
-use calibrig_model::random::{self, Source};
+use calibrig_model::random::{self, StreamSource};
 
 /// A set as it is planned.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct PlannedSet {
     pub kind: SetKind,
-    pub noise: Source,
+    pub noise: StreamSource,
     /// Joint variables in the order of measuring, and when the first reading of each pose is taken, s.
     pub poses: Vec<(Vec<f64>, f64)>,
 }
@@ -56,8 +56,8 @@ pub(super) fn schedule(
     let (mut sets, mut done) = (Vec::new(), 0_u32);
     for ((kind, count), listed) in counts.into_iter().zip(listed).filter(|((_, count), _)| *count > 0) {
         let (drawing, noise) = match kind {
-            SetKind::Identification => (Source::IdentificationPoses, Source::IdentificationNoise),
-            SetKind::Verification => (Source::VerificationPoses, Source::VerificationNoise),
+            SetKind::Identification => (StreamSource::IdentificationPoses, StreamSource::IdentificationNoise),
+            SetKind::Verification => (StreamSource::VerificationPoses, StreamSource::VerificationNoise),
         };
         let mut stream = random::stream(seed, trial, drawing);
         let drawn: Vec<_> = match listed {

@@ -6,7 +6,7 @@ use super::MeasuringSession;
 use super::plan::StationShare;
 use crate::SettledPose;
 use crate::tracker::{LaserTracker, Limits, Smr, SmrLaw};
-use calibrig_model::random::{Source, stream_at};
+use calibrig_model::random::{StreamSource, stream_at};
 use calibrig_model::visibility::{Hidden, Reflector, Stance, TrackerReach};
 
 /// A target on the flange, with the reflector that it has in this session.
@@ -47,7 +47,7 @@ impl MeasuringSession<'_> {
         let acceptance = self.plan.sight.as_ref().map_or(std::f64::consts::PI, |sight| sight.acceptance);
         let smr = |place| {
             let law = self.smr()?;
-            Some(law.draw(&mut stream_at(seed, trial, Source::Smr, place)))
+            Some(law.draw(&mut stream_at(seed, trial, StreamSource::Smr, place)))
         };
         let mount = |((in_flange, opening), place)| Mounted {
             reflector: Reflector { in_flange, opening, acceptance },

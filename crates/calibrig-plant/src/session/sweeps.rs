@@ -6,7 +6,7 @@ use super::schedule::Schedule;
 use super::{Machine, MeasuringSession, MissingReading, SessionError, StationShare};
 use crate::effects::Warmth;
 use calibrig_model::measurement::Station;
-use calibrig_model::random::{self, Source};
+use calibrig_model::random::{self, StreamSource};
 
 /// Place of the sweeps in the random streams of a session, behind those of sets, pose test and visits.
 const PLACE: u64 = 1 << 46;
@@ -47,14 +47,14 @@ impl MeasuringSession<'_> {
         stations: &mut [Station],
     ) -> Result<(Vec<MissingReading>, Warmth), SessionError<M::Error>> {
         let (seed, trial) = (setup.seed, setup.trial);
-        let mut noise = random::stream(seed, trial, Source::SweepNoise);
+        let mut noise = random::stream(seed, trial, StreamSource::SweepNoise);
         let mut controller = Controller::at_home(self, Warmth::default());
         let mut taken = Taken::default();
         machine.carry(None).map_err(|source| SessionError::Sweep { place: 0, source })?;
         for ((joints, time), number) in schedule.sweeps.iter().zip(0..) {
             let command = self.actuators.command_from_joints(joints);
             let place = PLACE | u64::from(number);
-            let mut own = random::stream_at(seed, trial, Source::Repeatability, place);
+            let mut own = random::stream_at(seed, trial, StreamSource::Repeatability, place);
             let (settled, effects) = controller
                 .go_to(machine, &command, *time, &mut own)
                 .map_err(|source| SessionError::Sweep { place: number, source })?;

@@ -154,7 +154,7 @@ impl Drift {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use calibrig_model::random::{Source, stream_at};
+    use calibrig_model::random::{StreamSource, stream_at};
 
     const LAW: DriftLaw = DriftLaw {
         ramp: Motion { shift: 18e-6, turn: 2e-6 },
@@ -167,7 +167,9 @@ mod tests {
     fn each_part_has_its_size() {
         let still = DriftLaw { warm_up_time: 1.0, ..DriftLaw::default() };
         let at = |law: DriftLaw, time| {
-            law.draw(7200.0, &mut stream_at(1, 0, Source::Drift, 0)).motion(time).map(|part| part.norm())
+            law.draw(7200.0, &mut stream_at(1, 0, StreamSource::Drift, 0))
+                .motion(time)
+                .map(|part| part.norm())
         };
         assert_eq!(at(still, 5000.0), [0.0; 2]);
         let ramp = at(DriftLaw { ramp: LAW.ramp, ..still }, 7200.0);
@@ -187,7 +189,7 @@ mod tests {
         let n = 2000_u32;
         for hours in [1.0, 4.0] {
             let square = |trial| {
-                let drift = law.draw(4.0 * HOUR, &mut stream_at(1, trial, Source::Drift, 0));
+                let drift = law.draw(4.0 * HOUR, &mut stream_at(1, trial, StreamSource::Drift, 0));
                 drift.motion(hours * HOUR)[0].norm_squared()
             };
             let mean = (0..n).map(square).sum::<f64>() / f64::from(n);
@@ -195,7 +197,7 @@ mod tests {
             let ratio = mean / (hours * LAW.walk.shift.powi(2));
             assert!((ratio - 1.0).abs() < 3.29 * (2.0 / f64::from(3 * n)).sqrt(), "{hours} h: {ratio}");
         }
-        let draw = |duration| LAW.draw(duration, &mut stream_at(1, 0, Source::Drift, 0));
+        let draw = |duration| LAW.draw(duration, &mut stream_at(1, 0, StreamSource::Drift, 0));
         let (short, long) = (draw(600.0), draw(6000.0));
         assert_eq!(short.motion(430.0), long.motion(430.0));
         // Nothing jumps, and no time is refused.

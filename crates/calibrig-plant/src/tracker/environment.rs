@@ -117,7 +117,7 @@ impl AirErrors {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use calibrig_model::random::{Source, stream};
+    use calibrig_model::random::{StreamSource, stream};
 
     fn hall(gradient: f64) -> EnvironmentLaw {
         let sensor_sigma = Air { temperature: 0.3, pressure: 100.0, humidity: 0.05 };
@@ -126,7 +126,7 @@ mod tests {
 
     #[test]
     fn a_gradient_of_0_4_k_per_m_lifts_a_point_at_10_m_by_19_um() {
-        let errors = AirErrors { scale: 1.0, ..hall(0.4).draw(&mut stream(1, 0, Source::Environment)) };
+        let errors = AirErrors { scale: 1.0, ..hall(0.4).draw(&mut stream(1, 0, StreamSource::Environment)) };
         let point = Vector3::new(6.0, 8.0, 0.0);
         let seen = errors.apparent(&point);
         assert!((1e6 * seen.z - 19.0).abs() < 0.5, "{seen}");
@@ -155,7 +155,7 @@ mod tests {
         let law = hall(0.0);
         let n = 4000;
         let squares: f64 = (0..n)
-            .map(|trial| (law.draw(&mut stream(1, trial, Source::Environment)).scale - 1.0).powi(2))
+            .map(|trial| (law.draw(&mut stream(1, trial, StreamSource::Environment)).scale - 1.0).powi(2))
             .sum();
         let ratio = squares / f64::from(n) / law.scale_sigma().powi(2);
         assert!((ratio - 1.0).abs() < 3.29 * (2.0 / f64::from(n)).sqrt(), "{ratio}");

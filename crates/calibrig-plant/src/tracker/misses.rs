@@ -10,11 +10,11 @@ pub fn is_missed(fraction: f64, rng: &mut impl Rng) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use calibrig_model::random::{Source, stream};
+    use calibrig_model::random::{StreamSource, stream};
 
     #[test]
     fn as_many_are_missed_as_stated() {
-        let mut rng = stream(1, 0, Source::Misses);
+        let mut rng = stream(1, 0, StreamSource::Misses);
         let missed = (0..20_000).filter(|_| is_missed(0.005, &mut rng)).count();
         // Binomial(20000, 0.005): 100 +- 3.3 * 10.
         assert!((67..=133).contains(&missed), "{missed}");

@@ -51,7 +51,7 @@ use rand_distr::{Distribution, StandardNormal};
 
 use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::{Face, InstrumentTerm, SphericalReading, StatedInstrument};
-use calibrig_model::random::{Source, stream_at};
+use calibrig_model::random::{StreamSource, stream_at};
 
 /// Conditions of a session besides its instrument. The default has none.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -164,10 +164,10 @@ impl LaserTracker {
             own.errors = TrackerErrors { misalignment, redraws, ..own.errors };
         }
         if let Some(law) = &self.conditions.environment {
-            own.errors.air = law.draw(&mut stream_at(seed, trial, Source::Environment, 0));
+            own.errors.air = law.draw(&mut stream_at(seed, trial, StreamSource::Environment, 0));
         }
         if let Some(law) = &self.conditions.drift {
-            own.errors.drift = law.draw(duration, &mut stream_at(seed, trial, Source::Drift, station));
+            own.errors.drift = law.draw(duration, &mut stream_at(seed, trial, StreamSource::Drift, station));
         }
         Ok(own)
     }

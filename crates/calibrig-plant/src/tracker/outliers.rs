@@ -31,12 +31,12 @@ impl Outliers {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use calibrig_model::random::{Source, stream};
+    use calibrig_model::random::{StreamSource, stream};
 
     #[test]
     fn gross_errors_are_as_many_and_as_large_as_stated_and_point_anywhere() {
         let outliers = Outliers { fraction: 0.05, least: 1e-3, most: 10e-3 };
-        let mut rng = stream(5, 0, Source::Outliers);
+        let mut rng = stream(5, 0, StreamSource::Outliers);
         let n = 20_000;
         let drawn: Vec<_> = (0..n).filter_map(|_| outliers.draw(&mut rng)).collect();
         // Binomial(20000, 0.05): 1000 +- 3.3 * 30.8.

@@ -67,7 +67,7 @@ mod tests {
     use super::*;
     use calibrig_model::geometry::rotation_vector;
     use calibrig_model::measurement::Face;
-    use calibrig_model::random::{Source, stream};
+    use calibrig_model::random::{StreamSource, stream};
     use calibrig_model::statistics::chi2_survival;
 
     const PROBE: Probe = Probe {
@@ -91,7 +91,7 @@ mod tests {
 
     #[test]
     fn orientations_scatter_as_stated_about_the_real_one() {
-        let mut rng = stream(1, 0, Source::ProbeNoise);
+        let mut rng = stream(1, 0, StreamSource::ProbeNoise);
         let flange = calibrig_model::geometry::rotation_x(0.7);
         let real = flange.rotation * PROBE.flange_from_target;
         let mut chi2 = 0.0;
@@ -109,7 +109,7 @@ mod tests {
     #[test]
     fn what_is_stated_of_the_mounting_is_off_by_its_uncertainty_or_unknown() {
         let off = |probe: Probe| {
-            let mut rng = stream(1, 0, Source::ProbeMounting);
+            let mut rng = stream(1, 0, StreamSource::ProbeMounting);
             let stated = probe.stated(&mut rng);
             (
                 rotation_vector(&(stated.flange_from_target * PROBE.flange_from_target.inverse())),

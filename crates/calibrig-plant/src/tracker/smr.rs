@@ -91,13 +91,13 @@ fn vector(rng: &mut impl Rng) -> Vector3<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use calibrig_model::random::{Source, stream};
+    use calibrig_model::random::{StreamSource, stream};
 
     const LAW: SmrLaw = SmrLaw { centring_sigma: 3e-6, seat_sigma: 4e-6, acceptance: 30.0 * PI / 180.0 };
 
     #[test]
     fn its_centre_stays_and_its_seat_does_not() {
-        let mut rng = stream(1, 0, Source::Smr);
+        let mut rng = stream(1, 0, StreamSource::Smr);
         let n = 2000;
         let (mut centres, mut seats) = (0.0, 0.0);
         for _ in 0..n {
@@ -117,7 +117,8 @@ mod tests {
 
     #[test]
     fn it_turns_with_what_it_is_mounted_on_and_looks_into_a_cone() {
-        let smr = Smr { centring: Vector3::new(1e-6, 2e-6, 0.0), ..LAW.draw(&mut stream(1, 0, Source::Smr)) };
+        let smr =
+            Smr { centring: Vector3::new(1e-6, 2e-6, 0.0), ..LAW.draw(&mut stream(1, 0, StreamSource::Smr)) };
         let half = Rotation3::from_axis_angle(&Vector3::z_axis(), PI);
         assert!((smr.offset(&half) + smr.centring).norm() < 1e-20);
         let away = smr.offset_towards(&-Vector3::x());

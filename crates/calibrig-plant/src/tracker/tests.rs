@@ -14,7 +14,7 @@ fn scatter_has_the_stated_covariance() {
     let up = Vector3::y();
     let tracker = LaserTracker::levelled(INSTRUMENT, Vector3::new(1.0, 0.5, -3.0), 0.4, &up);
     let point = Vector3::new(-0.5, 1.7, 1.0);
-    let mut rng = stream(3, 0, Source::IdentificationNoise);
+    let mut rng = stream(3, 0, StreamSource::IdentificationNoise);
     let n = 4000;
     let truth = tracker.tracker_from_base.rotation * point + tracker.tracker_from_base.translation.vector;
     let mut chi2 = 0.0;
@@ -36,7 +36,7 @@ fn without_noise_the_reading_is_the_point_and_its_axis_is_up() {
     let exact = Instrument { noise: false, ..INSTRUMENT };
     let up = Vector3::y();
     let tracker = LaserTracker::levelled(exact, Vector3::new(1.0, 0.5, -3.0), 0.4, &up);
-    let mut rng = stream(3, 0, Source::IdentificationNoise);
+    let mut rng = stream(3, 0, StreamSource::IdentificationNoise);
     let above = tracker.measure(&Vector3::new(1.0, 2.5, -3.0), &Shot::default(), &mut rng).expect("2 m");
     assert!((above.elevation - std::f64::consts::FRAC_PI_2).abs() < 1e-15);
     assert!((above.range - 2.0).abs() < 1e-15);
@@ -47,7 +47,7 @@ fn without_noise_the_reading_is_the_point_and_its_axis_is_up() {
 fn readings_near_the_zenith_are_as_exact_as_others() {
     let exact = Instrument { noise: false, ..INSTRUMENT };
     let tracker = LaserTracker::placed(exact, Transform::identity());
-    let mut rng = stream(3, 0, Source::IdentificationNoise);
+    let mut rng = stream(3, 0, StreamSource::IdentificationNoise);
     for off in [1e-8, 1e-6, 1e-3] {
         let point = Vector3::new(3.0 * off, 4.0 * off, 2.0);
         let reading = tracker.measure(&point, &Shot::default(), &mut rng).expect("2 m");
@@ -61,7 +61,7 @@ fn readings_near_the_zenith_are_as_exact_as_others() {
 fn a_point_out_of_range_moves_no_later_reading() {
     let tracker = LaserTracker::placed(INSTRUMENT, Transform::identity());
     let after = |first: f64| {
-        let mut rng = stream(3, 0, Source::IdentificationNoise);
+        let mut rng = stream(3, 0, StreamSource::IdentificationNoise);
         let first = tracker.measure(&Vector3::new(first, 0.0, 0.0), &Shot::default(), &mut rng);
         (
             first.is_ok(),
@@ -143,7 +143,7 @@ fn real_errors_are_what_readings_are_off_by_to_first_order() {
             let [range, azimuth, elevation] =
                 [point.norm(), point.y.atan2(point.x), point.z.atan2(point.x.hypot(point.y))];
             for face in [Face::Front, Face::Back] {
-                let rng = &mut stream(1, 0, Source::IdentificationNoise);
+                let rng = &mut stream(1, 0, StreamSource::IdentificationNoise);
                 let shot = Shot { face, azimuth_before: azimuth, ..Shot::default() };
                 let read = own.measure(&point, &shot, rng).expect("a point that can be reached");
                 let off = Vector3::new(
@@ -260,7 +260,7 @@ fn a_reading_is_of_the_tracker_where_it_is_then() {
     tracker.errors.air = AirErrors::default();
     let point = Vector3::new(0.2, -0.4, 1.1);
     let read = |time| {
-        let rng = &mut stream(1, 0, Source::IdentificationNoise);
+        let rng = &mut stream(1, 0, StreamSource::IdentificationNoise);
         tracker.measure(&point, &Shot::at(time), rng).expect("3 m").position()
     };
     for time in [0.0, 600.0, 5000.0] {
@@ -279,7 +279,7 @@ fn a_reading_is_of_the_tracker_where_it_is_then() {
 fn both_faces_read_one_point_and_turns_are_counted_on() {
     let tracker = LaserTracker::placed(Instrument { noise: false, ..INSTRUMENT }, Transform::identity());
     let point = Vector3::new(-2.0, -0.1, 0.4);
-    let rng = &mut stream(1, 0, Source::IdentificationNoise);
+    let rng = &mut stream(1, 0, StreamSource::IdentificationNoise);
     let mut read = |face, azimuth_before| {
         tracker.measure(&point, &Shot { face, azimuth_before, ..Shot::default() }, rng)
     };
@@ -298,7 +298,7 @@ fn both_faces_read_one_point_and_turns_are_counted_on() {
 fn what_an_instrument_cannot_do_is_refused_with_its_limits() {
     let mut limited = LaserTracker::placed(INSTRUMENT, Transform::identity());
     limited.instrument.limits = Limits { elevation: [-0.5, 0.8], range: [1.0, 5.0], ..Limits::WIDE };
-    let rng = &mut stream(1, 0, Source::IdentificationNoise);
+    let rng = &mut stream(1, 0, StreamSource::IdentificationNoise);
     let mut text = |point: [f64; 3], shot: Shot| {
         limited.measure(&Vector3::from(point), &shot, rng).map_err(|error| error.to_string()).err()
     };
@@ -366,7 +366,7 @@ fn real_errors_can_be_larger_than_stated() {
     let point = Vector3::new(3.0, 1.0, 0.5);
     let read = |tracker: &LaserTracker| {
         let own = tracker.drawn(1, 3, 0, 60.0).expect("one that passes");
-        let noise = &mut stream_at(1, 3, Source::IdentificationNoise, 0);
+        let noise = &mut stream_at(1, 3, StreamSource::IdentificationNoise, 0);
         (own.measure(&point, &Shot::default(), noise).expect("in reach"), own.real_errors())
     };
     let ((one, errors), (other, larger)) = (read(&sound), read(&knocked));
@@ -378,7 +378,7 @@ fn real_errors_can_be_larger_than_stated() {
     let scatter = |tracker: &LaserTracker| {
         let mut own = tracker.clone();
         own.instrument.systematic_fraction = 0.0;
-        let noise = &mut stream_at(1, 3, Source::IdentificationNoise, 0);
+        let noise = &mut stream_at(1, 3, StreamSource::IdentificationNoise, 0);
         own.measure(&point, &Shot::default(), noise).expect("in reach").range - point.norm()
     };
     assert!((2.0 * scatter(&sound) - scatter(&knocked)).abs() < 1e-14);
@@ -395,7 +395,7 @@ fn drawn_amplitudes_scatter_as_stated() {
     let n = 2000_u32;
     let squares: f64 = (0..n)
         .map(|trial| {
-            let own = kind.draw_misalignment(&mut stream_at(1, trial, Source::Instrument, 0));
+            let own = kind.draw_misalignment(&mut stream_at(1, trial, StreamSource::Instrument, 0));
             (own.transit_offset / 3e-6).powi(2)
                 + (own.collimation / 1.2e-6).powi(2)
                 + (own.elevation.zero / 1.2e-6).powi(2)

@@ -29,7 +29,7 @@ use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 
 use super::chi2_band;
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::statistics::{chi2_quantile, f_ln_survival, student_t_quantile};
 
 /// Number of cycles that the standard asks for.
@@ -235,7 +235,7 @@ fn ratio_band(covariance: &Matrix3<f64>, cycles: usize) -> [f64; 2] {
     // For cycles on one line or plane the covariance is singular, and a Cholesky factorisation may fail.
     let eigen = SymmetricEigen::new(covariance / scale);
     let sigmas = eigen.eigenvalues.map(|value| value.max(0.0).sqrt());
-    let mut rng = stream(0, 0, Source::Iso9283Intervals);
+    let mut rng = stream(0, 0, StreamSource::Iso9283Intervals);
     let mut ratios = Vec::with_capacity(DRAWS);
     let (mut sum, mut squares) = (0.0, 0.0);
     let mut drawn = vec![Vector3::zeros(); cycles];

@@ -14,7 +14,7 @@ use crate::identification::{
 };
 use calibrig_model::geometry::{rotation_x, translation};
 use calibrig_model::measurement::{MeasurementSet, Observation, Reading, Station, Target};
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::statistics::{NORMAL_95, binomial_cdf};
 use calibrig_model::{
     Body, BodyUncertainty, CalibrationModel, Compliance, CraigLink, ParameterId, StaticProperties, TermId,
@@ -130,7 +130,7 @@ fn measured(
 
 /// The three axes with drives whose stiffness is 2e4 N m/rad, where `stated` is known of it.
 fn sagging(stated: Option<f64>) -> MeasurementSet {
-    measured(&three_axes(2e4), 60, 1.2, stated, &mut stream(3, 0, Source::IdentificationNoise))
+    measured(&three_axes(2e4), 60, 1.2, stated, &mut stream(3, 0, StreamSource::IdentificationNoise))
 }
 
 fn elastic(compliance_sigma: f64) -> IdentificationOptions {
@@ -290,7 +290,7 @@ fn intervals_of_compliances_hold_where_masses_and_centres_are_uncertain() {
     let joints = [1, 2, 3, 4];
     let mut held = [[0_u64; 4]; 2];
     for trial in 0..trials {
-        let mut rng = stream(17, trial, Source::AsBuilt);
+        let mut rng = stream(17, trial, StreamSource::AsBuilt);
         let mut machine = nominal.clone();
         for id in ParameterId::all_of_links(6) {
             let sigma = if id.unit() == calibrig_model::Unit::Metre { 5e-4 } else { 1e-3 };

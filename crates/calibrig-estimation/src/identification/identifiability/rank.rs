@@ -289,11 +289,11 @@ impl<'a> Basis<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use calibrig_model::random::{Source, stream};
+    use calibrig_model::random::{StreamSource, stream};
     use rand::RngExt;
 
     fn random_matrix(rows: usize, columns: usize, trial: u32) -> DMatrix<f64> {
-        let mut rng = stream(7, trial, Source::AsBuilt);
+        let mut rng = stream(7, trial, StreamSource::AsBuilt);
         DMatrix::from_fn(rows, columns, |_, _| rng.random_range(-1.0..1.0))
     }
 

@@ -8,7 +8,7 @@ use rand::{Rng, RngExt};
 use super::*;
 use crate::kinematics::stack as stacked_jacobian;
 use calibrig_model::geometry::{Transform, rotation_x, rotation_y, rotation_z, translation};
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::{CraigLink, JointKind, KinematicModel, LinkTerm};
 
 /// The functions of this module, for valid chains.
@@ -41,7 +41,7 @@ const REGION_HALF: [f64; 7] = [1.92, 0.39, 0.31, 0.20, 0.30, 1.18, 0.57];
 const TABLE: [LinkTerm; 4] = [LinkTerm::A, LinkTerm::Alpha, LinkTerm::D, LinkTerm::Theta];
 
 fn rng(trial: u32) -> impl Rng {
-    stream(20230, trial, Source::IdentificationPoses)
+    stream(20230, trial, StreamSource::IdentificationPoses)
 }
 
 fn link(kind: JointKind, a: f64, alpha_deg: f64, d: f64, limits: [f64; 2]) -> CraigLink {

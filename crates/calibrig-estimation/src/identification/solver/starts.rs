@@ -7,7 +7,7 @@ use super::bounds::{Bounds, BoundsError};
 use super::point::{Robust, robust_cost};
 use super::robust::solve;
 use super::{LeastSquares, Solution, SolverOptions};
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 
 /// Two results are the same minimum if the residuals between them change, to first order, by less than this many times the solver's tolerance.
 const SAME: f64 = 100.0;
@@ -71,7 +71,7 @@ pub(super) fn best_of_many(
 
 /// Start number k, the same for any number of starts: k takes the place of a trial's number.
 fn draw(x: &[f64], spread: &[f64], bounds: &Bounds, seed: u64, k: u32) -> Vec<f64> {
-    let mut random = stream(seed, k, Source::SolverStarts);
+    let mut random = stream(seed, k, StreamSource::SolverStarts);
     x.iter()
         .zip(spread)
         .enumerate()

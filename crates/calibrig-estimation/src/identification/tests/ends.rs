@@ -10,7 +10,7 @@ use super::super::*;
 use crate::kinematics::target_in_base;
 use calibrig_model::geometry::{rotation_x, rotation_z, translation};
 use calibrig_model::measurement::{MeasurementSet, Station, Target};
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::{CalibrationModel, CraigLink, LinkTerm, ParameterId};
 
 fn scara() -> CalibrationModel {
@@ -58,7 +58,7 @@ fn measured(
     stations: usize,
     noise: f64,
 ) -> MeasurementSet {
-    let mut random = stream(11, 0, Source::AsBuilt);
+    let mut random = stream(11, 0, StreamSource::AsBuilt);
     let mut normal = move || -> f64 { StandardNormal.sample(&mut random) };
     let mut real = nominal.kinematics.clone();
     for link in &mut real.links {
@@ -71,7 +71,7 @@ fn measured(
         translation(3.0, 0.5, -0.4) * rotation_x(0.3) * rotation_z(2.0),
         translation(-2.0, 1.5, 0.2) * rotation_z(-0.7) * rotation_x(0.2),
     ];
-    let mut draw = stream(12, 0, Source::IdentificationPoses);
+    let mut draw = stream(12, 0, StreamSource::IdentificationPoses);
     let mut set = MeasurementSet::default();
     let mut points = Vec::new();
     for pose in 0..POSES {

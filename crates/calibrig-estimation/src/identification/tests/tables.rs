@@ -11,7 +11,7 @@ use crate::kinematics::target_in_base;
 use calibrig_files::{Source as Text, parse_robot};
 use calibrig_model::geometry::{rotation_x, rotation_z, translation};
 use calibrig_model::measurement::MeasurementSet;
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::{CraigLink, KinematicModel, LinkTerm};
 
 /// a mm, alpha deg, d mm, theta deg of a 6R robot like a UR, calculated from axes that are parallel to within 1 mrad.
@@ -53,7 +53,7 @@ fn a_table_with_far_normals_is_identified_as_any_other() {
         CraigLink::revolute(format!("J{i}")).row(a / 1e3, alpha.to_radians(), d / 1e3, theta.to_radians())
     };
     let stated = KinematicModel::new(rows().iter().enumerate().map(row).collect()).expect("a chain");
-    let mut random = stream(21, 0, Source::AsBuilt);
+    let mut random = stream(21, 0, StreamSource::AsBuilt);
     let joints = |random: &mut rand_chacha::ChaCha8Rng| -> Vec<f64> {
         (0..6).map(|_| random.random_range(-3.0..3.0)).collect()
     };

@@ -10,7 +10,7 @@ use super::super::*;
 use crate::kinematics::target_in_base;
 use calibrig_model::geometry::{rotation_x, rotation_z, translation};
 use calibrig_model::measurement::MeasurementSet;
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::{CalibrationModel, CraigLink, LinkTerm};
 
 const NOISE: f64 = 20e-6;
@@ -58,7 +58,7 @@ fn a_tool_near_the_last_axis_is_found_in_few_iterations() {
         for stated in [true, false] {
             let mut counts = Vec::new();
             for number in 0..100 {
-                let mut random = stream(7, number, Source::AsBuilt);
+                let mut random = stream(7, number, StreamSource::AsBuilt);
                 let nominal = robot(number, &mut random);
                 let set = measured(&nominal, off, &mut random);
                 let set = if stated { set.with_sigma(NOISE) } else { set };

@@ -10,7 +10,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use super::{DesignRows, DesignSpace, ParameterScale};
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::{LinkTerm, ParameterId};
 
 fn names(count: usize) -> Vec<ParameterId> {
@@ -23,7 +23,7 @@ fn drawn(rng: &mut ChaCha8Rng, rows: usize, columns: usize) -> DMatrix<f64> {
 
 /// Random rows: candidates of one to three rows about `p` parameters, with a weak prior or none, and four poses to predict.
 fn random_rows(seed: u64, candidates: usize, p: usize, prior: bool) -> DesignRows {
-    let mut rng = stream(seed, 0, Source::Splits);
+    let mut rng = stream(seed, 0, StreamSource::Splits);
     let rng = &mut rng;
     DesignRows {
         candidates: (0..candidates).map(|i| drawn(rng, 1 + i % 3, p)).collect(),

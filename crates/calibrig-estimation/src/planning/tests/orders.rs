@@ -6,7 +6,7 @@ use rand::RngExt;
 use super::{drawn, random_rows, space};
 use crate::planning::order::DriftCoupling;
 use crate::planning::{OrderWeights, PlanError, Way, order_cost, ordered};
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 
 fn orders(count: usize) -> Vec<Vec<usize>> {
     if count == 0 {
@@ -28,7 +28,7 @@ type Eight = (Vec<Vec<f64>>, DriftCoupling, DMatrix<f64>, Vec<DMatrix<f64>>);
 
 /// Eight poses whose rows are about four parameters and a shift.
 fn eight(seed: u64) -> Eight {
-    let mut rng = stream(seed, 1, Source::Splits);
+    let mut rng = stream(seed, 1, StreamSource::Splits);
     let commands = (0..8).map(|_| (0..3).map(|_| rng.random_range(-1.0..1.0)).collect()).collect();
     let mut rows = random_rows(seed, 8, 4, true);
     rows.candidates = (0..8).map(|_| drawn(&mut rng, 3, 4)).collect();
@@ -120,7 +120,7 @@ fn approaches_are_signs_of_the_last_motion() {
 /// Sixty poses: the order is better than the drawn one in every criterion.
 #[test]
 fn an_order_of_sixty_poses_is_shorter_and_balanced() {
-    let mut rng = stream(9, 0, Source::Splits);
+    let mut rng = stream(9, 0, StreamSource::Splits);
     let commands: Vec<Vec<f64>> =
         (0..60).map(|_| (0..7).map(|_| rng.random_range(-1.0..1.0)).collect()).collect();
     let of = |balance| OrderWeights { balance, drift: 0.0 };

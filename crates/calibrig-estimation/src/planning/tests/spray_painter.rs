@@ -17,7 +17,7 @@ use calibrig_model::geometry::{Transform, rotation_y};
 use calibrig_model::measurement::{
     Face, MeasurementSet, NestObservation, Observation, Reading, SphericalReading, Station, Target,
 };
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::{CalibrationModel, PoseQuery};
 
 /// Middle and half-width of the region, m and rad.
@@ -118,7 +118,7 @@ fn thirty_planned_poses_tell_more_than_sixty_drawn_ones() {
     let robot = load_robot(&path).expect("the shipped robot");
     let (model, in_flange) = (&robot.model, robot.target().expect("stated"));
     let region = REGION.map(|[middle, half]| [middle - half, middle + half]);
-    let mut rng = stream(1, 0, Source::VerificationPoses);
+    let mut rng = stream(1, 0, StreamSource::VerificationPoses);
     let mut commands_at_random = |count: usize, region: &[[f64; 2]]| -> Vec<Vec<f64>> {
         let joints = |_| region.iter().map(|[low, high]| rng.random_range(*low..*high)).collect::<Vec<f64>>();
         (0..count).map(joints).map(|joints| model.actuators.command_from_joints(&joints)).collect()

@@ -1,6 +1,6 @@
 //! Column maps, right and wrong.
 
-use super::super::columns::{ColumnRef, Part, PolarAngle, PositionColumns, SigmaUnits, Uncertainty};
+use super::super::columns::{ColumnRef, FilePart, PolarAngle, PositionColumns, SigmaUnits, Uncertainty};
 use super::super::units::{AngleUnit, LengthUnit};
 use super::*;
 use proptest::prelude::*;
@@ -94,7 +94,7 @@ fn sums_signs_and_units_are_understood() {
     let map = parse(SPHERICAL).expect("valid");
     let mapping = map.mapping().expect("named");
     assert!(matches!(mapping.position, PositionColumns::Spherical { polar_angle: PolarAngle::Zenith, .. }));
-    let names: Vec<_> = mapping.entries(Part::Whole).iter().map(|entry| entry.written.as_str()).collect();
+    let names: Vec<_> = mapping.entries(FilePart::Whole).iter().map(|entry| entry.written.as_str()).collect();
     assert_eq!(names, ["j1", "R", "Az", "Ze", "sR", "sAz", "sZe"]);
 }
 
@@ -217,7 +217,7 @@ fn the_documented_map_is_valid() {
     let map = parse(&documented).expect("as documented");
     let mapping = map.mapping().expect("named");
     assert_eq!(
-        (mapping.joints.len(), mapping.entries(Part::Whole).len()),
+        (mapping.joints.len(), mapping.entries(FilePart::Whole).len()),
         (3, 3 + 3 + 4 + 3 + 3 + 5 + 2 + 1 + 1)
     );
 }

@@ -6,7 +6,7 @@ mod sheets;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-use calibrig_model::random::{Source as Stream, stream};
+use calibrig_model::random::{StreamSource as Stream, stream};
 use proptest::prelude::*;
 use rand::RngExt;
 use rust_xlsxwriter::{ExcelDateTime, Format, Formula, Workbook};

@@ -5,7 +5,7 @@ use super::random_walk::BEFORE;
 use super::*;
 use crate::geometry::{best_fit_transform, rotation_x, rotation_z, small_displacement, translation};
 use crate::measurement::{MeasurementSet, Observation, SphericalReading, Station, Target, register};
-use crate::random::{Source, stream};
+use crate::random::{StreamSource, stream};
 
 /// Poses, s from one to the next, poses between two rounds of nests, s from one nest to the next.
 const POSES: u32 = 1000;
@@ -57,8 +57,8 @@ fn spherical(position: Vector3<f64>, sigma: f64) -> Reading {
 
 /// A session with rounds of eight nests before, between and after the poses, whose tracker stands 4 m off.
 fn session(motion: Motion, noise: f64, trial: u32) -> Session {
-    let mut rng = stream(17, trial, Source::IdentificationNoise);
-    let mut walk = stream(17, trial, Source::NestNoise);
+    let mut rng = stream(17, trial, StreamSource::IdentificationNoise);
+    let mut walk = stream(17, trial, StreamSource::NestNoise);
     let stand = translation(0.4, -0.3, -4.0) * rotation_z(0.7) * rotation_x(-1.2);
     let duration = f64::from(POSES) * PER_POSE;
     let direction = Vector6::new(30e-6, -30e-6, 26e-6, 5e-6, -6e-6, 6e-6);

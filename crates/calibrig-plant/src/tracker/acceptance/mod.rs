@@ -17,7 +17,7 @@ use rand::Rng;
 
 use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::{Face, SphericalReading};
-use calibrig_model::random::{Source, stream_at};
+use calibrig_model::random::{StreamSource, stream_at};
 
 use super::instrument::Instrument;
 use super::misalignment::Misalignment;
@@ -153,8 +153,9 @@ pub fn draw_and_test(
     trial: u32,
     draw: u32,
 ) -> Result<(Misalignment, Acceptance), TrackerError> {
-    let own = instrument.draw_misalignment(&mut stream_at(seed, trial, Source::Instrument, u64::from(draw)));
-    let noise = &mut stream_at(seed, trial, Source::Acceptance, u64::from(draw));
+    let own =
+        instrument.draw_misalignment(&mut stream_at(seed, trial, StreamSource::Instrument, u64::from(draw)));
+    let noise = &mut stream_at(seed, trial, StreamSource::Acceptance, u64::from(draw));
     Ok((own, Acceptance::of(instrument, &own, noise)?))
 }
 
@@ -256,7 +257,7 @@ mod tests {
                 RANDOM_FRACTION,
             )
         };
-        let rng = &mut stream_at(1, 0, Source::Acceptance, 0);
+        let rng = &mut stream_at(1, 0, StreamSource::Acceptance, 0);
         let test = Acceptance::of(&exact, &Misalignment::default(), rng).expect("all in reach");
         assert!(test.findings.iter().all(|finding| finding.error.abs() < 1e-14));
         let count = |which: fn(Test) -> bool| test.findings.iter().filter(|f| which(f.test)).count();
@@ -282,7 +283,7 @@ mod tests {
             let (misalignment, _) = first_accepted(&kind, 1, 7).expect("passes");
             let mut tracker = LaserTracker::placed(kind, Transform::identity());
             tracker.errors.misalignment = misalignment;
-            let rng = &mut stream_at(1, 0, Source::Acceptance, u64::from(n) + place as u64);
+            let rng = &mut stream_at(1, 0, StreamSource::Acceptance, u64::from(n) + place as u64);
             let lengths: Vec<f64> = (0..n)
                 .map(|_| {
                     let mut read =
@@ -302,7 +303,7 @@ mod tests {
     fn the_signature_of_each_error_in_the_test_is_its_first_order_formula() {
         let exact = Instrument { noise: false, ..Preset::At500.instrument() };
         let findings = |term, x| {
-            let rng = &mut stream_at(1, 0, Source::Acceptance, 0);
+            let rng = &mut stream_at(1, 0, StreamSource::Acceptance, 0);
             Acceptance::of(&exact, &Misalignment::of([(term, x)]), rng).expect("all in reach").findings
         };
         for term in InstrumentTerm::ALL {

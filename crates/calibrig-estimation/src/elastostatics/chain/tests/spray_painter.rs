@@ -6,7 +6,7 @@ use rand::RngExt;
 
 use crate::elastostatics::{Deflection, ElasticChain};
 use calibrig_files::{Robot, load_robot};
-use calibrig_model::random::{Source, stream};
+use calibrig_model::random::{StreamSource, stream};
 use calibrig_model::{Bearing, Section, StaticProperties};
 
 const CENTRE: [f64; 7] = [2.0, 0.19, -1.71, 0.12, 2.0, -0.16, -0.77];
@@ -49,7 +49,7 @@ fn gravity_lowers_the_spray_painters_target_as_its_file_says() {
     for joint in [0, 1, 4, 5, 6] {
         assert!(share_of(&drive(joint)).abs() < 0.1e-3, "{joint}");
     }
-    let mut rng = stream(2, 0, Source::AsBuilt);
+    let mut rng = stream(2, 0, StreamSource::AsBuilt);
     let poses = 100;
     let sum: f64 = (0..poses)
         .map(|_| {

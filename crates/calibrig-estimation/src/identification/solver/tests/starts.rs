@@ -153,7 +153,7 @@ fn starts_need_a_width_for_every_parameter() {
 /// Start k is drawn from the counted stream of (seed, k), whatever else is drawn.
 #[test]
 fn starts_are_drawn_from_their_counted_streams() {
-    use calibrig_model::random::{Source, stream};
+    use calibrig_model::random::{StreamSource, stream};
     use rand::RngExt;
 
     let tried = std::cell::RefCell::new(Vec::new());
@@ -168,7 +168,7 @@ fn starts_are_drawn_from_their_counted_streams() {
     };
     minimise_within(&mut flat, vec![1.0, 2.0], &options(4), &Bounds::none(2), &[0.5, 0.25]).unwrap();
     let expected = (1..4).map(|k| {
-        let mut random = stream(3, k, Source::SolverStarts);
+        let mut random = stream(3, k, StreamSource::SolverStarts);
         [(1.0, 0.5), (2.0, 0.25)].map(|(x, spread)| x + spread * random.random_range(-1.0..=1.0)).to_vec()
     });
     let expected: Vec<_> = std::iter::once(vec![1.0, 2.0]).chain(expected).collect();
