@@ -65,8 +65,9 @@ pub(super) struct MissingArgs {
   calibrig merge out                        leaves trials.parquet, summary.json and report.html in out/
   calibrig merge out --tolerance 0.2mm      also says how often the calibrated robot is within 0.2 mm
 
-The table has the same bytes as that of a single machine. If shards are missing, altered, overlapping or of another campaign, they are named and no table is made.
-If the table is there already, it is summarised again. Exit code 1: a file among the shards must not be merged; 3: shards are missing, or a trial failed.")]
+The table has the same bytes as that of a single machine. If shards are missing, altered, overlapping or of another campaign, they are named
+and no table is made. If the table is there already, it is summarised again. Exit code 1: a file among the shards must not be merged; 3: shards
+are missing, or a trial failed.")]
 pub(super) struct MergeArgs {
     /// The campaign's folder
     folder: PathBuf,

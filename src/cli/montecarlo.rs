@@ -28,9 +28,10 @@ use crate::scenario::{Layout, Scenario};
   calibrig montecarlo scenarios/paper.toml --trials 10000 --out out --shard 3/40   one part of forty; `calibrig merge out` joins them
   calibrig montecarlo scenarios/paper.toml --trials 10000 --out out --shards 40 --plan slurm   job files for a cluster
 
-The scenario's section [campaign] states what varies and how trials are laid out (docs/formats.md); without it, only the random draws differ. A trial is a pure function
-of scenario, seed and its number: the same bits alone, on any number of threads and in any shards. Ctrl-C ends the campaign when the running trials are
-done, and keeps them. A failed trial is a row with its reason. Exit code 3: interrupted, or a trial failed (a shard with failed trials ends with 0).")]
+The scenario's section [campaign] states what varies and how trials are laid out (docs/formats.md); without it, only the random draws differ.
+A trial is a pure function of scenario, seed and its number: the same bits alone, on any number of threads and in any shards. Ctrl-C ends the
+campaign when the running trials are done, and keeps them. A failed trial is a row with its reason. Exit code 3: interrupted, or a trial failed
+(a shard with failed trials ends with 0).")]
 pub(super) struct Args {
     /// The scenario file
     scenario: PathBuf,

@@ -29,7 +29,7 @@ another version made the estimates, differences are listed (parameters in standa
 pub(super) struct Args {
     /// The recording
     recording: PathBuf,
-    /// Which models are fitted, beside the robot without calibration; may be repeated [default: as recorded]
+    /// Models to fit, besides the robot without calibration; may be repeated [default: as recorded]
     #[arg(long, value_name = "MODE", value_parser = fitted_mode)]
     mode: Vec<Mode>,
     /// Loss of a measurement far from the others: its square, or less [default: as recorded]

@@ -69,7 +69,7 @@ pub(super) fn doubts(made: &Compensation, estimate: &Estimate, unfinished: Optio
     of(&is_open, &|count, index, first| {
         let left = first.point.as_ref().map_or(0.0, |found| 1e6 * found.missed());
         format!(
-            "{} with more than 1 um left, {} by {left:.3} um (--tolerance-um)",
+            "{} more than 1 um off on the model, {} by {left:.3} um (--tolerance-um)",
             points_are(count),
             called(index, first)
         )

@@ -14,7 +14,7 @@ pub(super) fn settle_options(trial: u32) -> SettleOptions {
 
 /// Simulates the session of `scenario`: a pure function of (scenario, seed, trial, plant).
 ///
-/// `progress` is told the number of poses done and of all poses.
+/// `progress` receives the number of poses done and of all poses.
 pub fn simulate(
     scenario: &Scenario,
     seed: u64,

@@ -241,7 +241,10 @@ pub enum Assumption {
     )]
     BodiesStated,
     /// Nothing is known of the stiffnesses.
-    #[error("stiffnesses: unknown; each is assumed within a factor of {:.0} of the stated one (standard deviation of a prior)", UNKNOWN_STIFFNESS.exp())]
+    #[error(
+        "stiffnesses: unknown; each is assumed within a factor of {:.0} of the stated one (standard deviation of a prior)",
+        UNKNOWN_STIFFNESS.exp()
+    )]
     StiffnessUnknown,
     /// The readings state no covariance.
     #[error("noise: the readings state none; it is taken from the residuals, {:.3} mm per coordinate", 1e3 * sigma)]
@@ -506,7 +509,11 @@ pub enum Warning {
     /// The residuals are larger than the stated noise explains.
     #[error(
         "the residuals are {ratio:.1} times what the stated noise explains: the model lacks something{}",
-        if *.accounted { "; the standard deviations include it, as random errors from pose to pose" } else { ", and the standard deviations do not include it" }
+        if *.accounted {
+            "; the standard deviations include it, as random errors from pose to pose"
+        } else {
+            ", and the standard deviations do not include it"
+        }
     )]
     Inconsistent {
         /// Square root of chi-square per degree of freedom.

@@ -6,8 +6,8 @@
 //! `payload_z_m`, and `payload_force_x_n`, `payload_force_y_n`, `payload_force_z_n`; empty where nothing), and the uncertainty: `sigma_range_m`,
 //! `sigma_az_rad`, `sigma_el_rad` (`sigma_x_m`, `sigma_y_m`, `sigma_z_m`), or the covariance's upper triangle `cov_range_range_m2`,
 //! `cov_range_az_m_rad`, `cov_range_el_m_rad`, `cov_az_az_rad2`, `cov_az_el_rad2`, `cov_el_el_rad2` (`cov_xx_m2`, `cov_xy_m2`, `cov_xz_m2`,
-//! `cov_yy_m2`, `cov_yz_m2`, `cov_zz_m2`). A full pose has beside `x_m`, `y_m`, `z_m` its rotation `tracker_from_target` by rows, `r11` to `r33`,
-//! `sigma_rx_rad`, `sigma_ry_rad`, `sigma_rz_rad` beside the sigmas of the place, or the 21 elements of both, `cov_x_rx_m_rad` and `cov_rx_rx_rad2`
+//! `cov_yy_m2`, `cov_yz_m2`, `cov_zz_m2`). A full pose has, in addition to `x_m`, `y_m`, `z_m` its rotation `tracker_from_target` by rows, `r11` to
+//! `r33`, `sigma_rx_rad`, `sigma_ry_rad`, `sigma_rz_rad` with the sigmas of the place, or the 21 elements of both, `cov_x_rx_m_rad` and `cov_rx_rx_rad2`
 //! among them. A spherical reading may have its `face`, `front` or `back`.
 
 use std::collections::BTreeSet;

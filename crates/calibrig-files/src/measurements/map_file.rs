@@ -14,7 +14,7 @@
 //! x = "x_target - x_error"          # an entry: a column, a signed sum, or a list of columns to add
 //! y = ["y_target", "-y_error"]
 //! z = 7                             # the seventh column; in a sum #7
-//! missed = [-9999, "n/a"]           # optional: what marks a missed shot in a cell of the position, beside (0, 0, 0)
+//! missed = [-9999, "n/a"]           # optional: marks of a missed shot in the position, in addition to (0, 0, 0)
 //! # or: system = "spherical", range = "R", range_unit = "m", azimuth = "Az", angle_unit = "deg" (rad, mrad, urad, arcsec, gon or rev), and
 //! # either elevation = "El" (above the tracker's x-y plane) or zenith = "Ze" (from its z axis)
 //!
@@ -26,13 +26,13 @@
 //! k = 2                             # optional: coverage factor; the columns state k standard deviations, as U(95) does
 //!
 //! [rotation]                        # optional: of a target with axes of its own, whose rows are full poses
-//! transform = "target_in_tracker"   # what position and rotation are of; or "tracker_in_target"
+//! transform = "target_in_tracker"   # which frame is given in which; or "tracker_in_target"
 //! form = "quaternion"               # rotation_vector, euler, matrix; kuka_abc, abb_quaternion, fanuc_wpr, ur_rotation_vector, staubli_rxryrz, kawasaki_oat
 //! order = "wxyz"                    # of a quaternion, or "xyzw"; of a matrix "rows" or "columns"; an euler form has sequence = "zyx intrinsic" or "xyz fixed"
 //! columns = ["qw", "qx", "qy", "qz"]
 //! sigma = ["srx", "sry", "srz"]     # optional: standard deviations about the tracker's axes, or one for all; sigma_unit, k
 //!
-//! # in place of the sigmas of a full pose [covariance] with columns (21: the upper triangle by rows, position before rotation; or all 36),
+//! # instead of the sigmas of a full pose, [covariance] with columns (21: the upper triangle by rows, position before rotation; or all 36),
 //! # unit = "mm" and angle_unit = "rad"
 //!
 //! [noise]                           # optional: standard deviations a + b R of rows that state none
@@ -41,8 +41,8 @@
 //! transverse_um_per_m = 1.5         # b
 //! rotation_urad = 30                # of full poses: about every axis
 //!
-//! # of spherical positions [face], optional: column = "Face", front = ["1"] and back = ["2"], what stands in it ("front" and "back" without), and
-//! # angles = "raw", of the back face as the encoders show them, or "direction", as in the front face; found from the values without
+//! # of spherical positions [face], optional: column = "Face", front = ["1"] and back = ["2"], its texts (default "front" and "back"), and
+//! # angles = "raw", back-face angles as the encoders show them, or "direction", as in the front face; found from the values by default
 //!
 //! [columns]                         # each optional
 //! pose = "No"                       # whole numbers, or names
@@ -50,37 +50,37 @@
 //! target = "SMR"                    # the reflector, the same name in all its rows; not the name of the shot
 //! time_s = "t"
 //! temperature_c = "T"               # or temperature_k, temperature_f
-//! pressure_hpa = "P"                # or pressure_pa, _kpa, _mmhg, _inhg; checked, and not used
+//! pressure_hpa = "P"                # or pressure_pa, _kpa, _mmhg, _inhg; checked, but not used
 //! humidity_percent = "H"            # the same
-//! approach = ["dir1", "dir2", "dir3"]  # -1, 0 or 1, one an actuator
-//! payload = "Load"                  # the name of a [[payload]]; empty, "none" or 0 where the flange carries nothing
-//! # or numbers: payload_mass_kg = "m", and payload_x_mm, payload_y_mm, payload_z_mm: its centre of mass in the flange frame; beside them
-//! # payload_force_x_n, payload_force_y_n, payload_force_z_n: a force in the base frame that pulls there
+//! approach = ["dir1", "dir2", "dir3"]  # -1, 0 or 1, one per actuator
+//! payload = "Load"                  # the name of a [[payload]]; empty, "none" or 0 if the flange carries nothing
+//! # or numbers: payload_mass_kg = "m", and payload_x_mm, payload_y_mm, payload_z_mm: its centre of mass in the flange frame; optionally
+//! # payload_force_x_n, payload_force_y_n, payload_force_z_n: a force in the base frame that acts there
 //!
 //! [[payload]]                       # optional: a load on the flange that some rows name
 //! name = "25 kg"
 //! mass_kg = 25.02
-//! x_mm = 0                          # its centre of mass in the flange frame, where a force pulls as well
+//! x_mm = 0                          # its centre of mass in the flange frame, where a force acts as well
 //! y_mm = 0
 //! z_mm = 118
 //! # force_x_n = 0, force_y_n and force_z_n, of the base frame
 //!
 //! [rows]                            # each optional
 //! approach_from = "order"           # signs of approach from the order of the rows
-//! repeats = "average"               # repeats of a pose count as one reading
-//! faces = "average"                 # a reading of the front face and one of the back face count as one
+//! repeats = "average"               # repeats of a pose are averaged into one reading
+//! faces = "average"                 # a front-face and a back-face reading are averaged into one
 //!
 //! [sets]                            # optional: which rows are held out
 //! column = "use"
 //! identification = ["fit"]
 //! verification = ["check"]
 //!
-//! [join]                            # optional: where joints and points are in files of their own (--joints)
+//! [join]                            # optional: if joints and points are in separate files (--joints)
 //! by = "name"                       # row, name or time
 //! joints = "Name"                   # the column in the joints' file
 //! points = "Point"                  # and in the points' files
 //!
-//! [text]                            # optional, each key: the form of a text file, where it is not found by itself
+//! [text]                            # optional, each key: the form of a text file, if it is not detected
 //! decimal = ","
 //! ```
 

@@ -112,7 +112,7 @@ pub(super) fn check_length(
             let mut help =
                 format!("{expected} values, as {first} has{}", if has_header { " names" } else { "" });
             if found == 2 * expected || found + 1 == 2 * expected {
-                help += "; decimal commas cannot be told from the commas between the values: export with another delimiter";
+                help += "; decimal commas look the same as the commas between the values: export with another delimiter";
             }
             Err(row.refuse(file, Some(column), message, &help))
         }

@@ -169,7 +169,7 @@ impl SeenFile {
         self.columns.iter().find(|column| column.role == Some(role))
     }
 
-    /// Columns of the orientation beside the position, in their order.
+    /// Columns of the orientation next to the position, in their order.
     pub fn turn(&self) -> Vec<&SeenColumn> {
         let mut columns: Vec<_> = self.columns.iter().filter(|column| column.is_beside).collect();
         columns.sort_by_key(|column| column.order);
