@@ -39,17 +39,17 @@ ROWS = {
         f"(\\d+) of 300 pass.*?lengths {NUMBER}, two faces {NUMBER}, range intervals {NUMBER} of the MPE",
         "{} pass; medians of the largest errors over their MPE: lengths {}, two faces {}, range {}", False,
     ),
-    "two_faces": (r"intervals that hold, of 100: (.*?); chi-square (\d+) of (\d+)", "of 100 by error: {}; chi-square {} of {}", True),
+    "two_faces": (r"intervals that hold, of 100: (.*?); chi-square (\d+) of (\d+)", "of 100 by error: {}; chi-square {} of {}", False),
     "payloads": (
-        r"drive2 +(\S+) +(\S+).*?drive3 +(\S+) +(\S+).*?drive6 +(\S+) +(\S+).*?drive7 +(\S+) +(\S+)",
-        "shoulder {} % without a payload, {} % with; elbow {}, {}; roll {}, {}; wrist {}, {} %", True,
+        r"drive3 +(\S+) +(\S+).*?drive4 +(\S+) +(\S+).*?drive6 +(\S+) +(\S+).*?drive7 +(\S+) +(\S+)",
+        "shoulder {} % without a payload, {} % with; elbow {}, {}; roll {}, {}; wrist {}, {} %", False,
     ),
     "replay": (r"Replay: (\d+) recorded estimates, (all identical bit for bit)", "{} estimates, {}", False),
     "ur5": (RMS, "RMS 3D {0} mm nominal, {2} geometric, {4} with stiffness; largest {1}, {3}, {5} mm", False),
     "wam": (RMS, "RMS 3D {0} mm nominal, {2} geometric, {4} with stiffness; largest {1}, {3}, {5} mm", False),
     "splits": (
         r"UR5, 20 splits.*?geometric (\S+) mm, with stiffness (\S+) mm, (\S+) mm \[(\S+), (\S+)\] less",
-        "{} mm geometric, {} mm with stiffness: {} mm less, 95 % interval {} to {}", True,
+        "{} mm geometric, {} mm with stiffness: {} mm less, 95 % interval {} to {}", False,
     ),
 }
 

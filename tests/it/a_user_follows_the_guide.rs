@@ -39,7 +39,7 @@ fn steps(text: &str) -> Vec<Step> {
         match info.split_once(' ').unwrap_or((info, "")) {
             ("console", _) => steps.extend(commands(&block)),
             ("toml" | "csv" | "awk", name) if !name.is_empty() => {
-                let text = block.iter().map(|(_, line)| format!("{line}\n")).collect();
+                let text = block.iter().flat_map(|(_, line)| [*line, "\n"]).collect();
                 steps.push(Step::File { name: name.to_owned(), text });
             }
             _ => {}
@@ -217,7 +217,9 @@ fn the_readme_has_every_command_once() {
     {
         let of_row: BTreeSet<_> =
             cell.split(['`', ' ', ',', '[', ']']).filter(|word| names.contains(word)).collect();
-        of_row.iter().for_each(|name| *counted.entry(name).or_default() += 1);
+        for name in of_row {
+            *counted.entry(name).or_default() += 1;
+        }
     }
     assert!(counted.values().all(|count| *count == 1), "{counted:?}");
 }
