@@ -157,11 +157,14 @@ pub(super) fn check_whole(file: &mut (impl Read + Seek)) -> Result<Whole, ReadEr
     Ok(whole)
 }
 
-/// Passes the records of `file` from where it stands to `visit`: opcode and body. Chunks are passed on as they are.
+/// Is given the opcode and the body of a record.
+type RawVisitor<'a> = dyn FnMut(u8, &[u8]) -> Result<(), ReadError> + 'a;
+
+/// Passes the records of `file` from where it stands to `visit`. Chunks are passed on as they are.
 pub(super) fn pull(
     file: &mut impl Read,
     options: LinearReaderOptions,
-    visit: &mut dyn FnMut(u8, &[u8]) -> Result<(), ReadError>,
+    visit: &mut RawVisitor<'_>,
 ) -> Result<(), ReadError> {
     let options = options
         .with_emit_chunks(true)
