@@ -7,7 +7,8 @@ use prost::{DecodeError, Message, Name};
 
 use super::RecordingError;
 use super::directory::Definitions;
-use super::records::{read_records, with_file};
+use super::framing::with_file;
+use super::records::read_records;
 use super::schema::v1;
 
 /// A message that tells of sets or estimates.
