@@ -7,7 +7,7 @@ use mcap::MAGIC;
 use mcap::records::{Channel, Record, SchemaHeader, op};
 use mcap::sans_io::linear_reader::LinearReaderOptions;
 
-use super::records::{ReadError, pull};
+use super::framing::{ReadError, pull};
 
 /// Length of a footer record.
 const FOOTER: u64 = 9 + 20;

@@ -107,6 +107,10 @@ pub(super) fn moving_frames(step: &PoseStep<'_>) -> FrameTransforms {
     FrameTransforms { transforms }
 }
 
+fn update(entities: impl IntoIterator<Item = SceneEntity>) -> SceneUpdate {
+    SceneUpdate { deletions: Vec::new(), entities: entities.into_iter().collect() }
+}
+
 fn entity(time: u64, frame: &str, id: impl Into<String>) -> SceneEntity {
     SceneEntity {
         timestamp: Some(timestamp(time)),
@@ -173,7 +177,7 @@ pub(super) fn shapes(story: &Story<'_>) -> SceneUpdate {
         nests.texts.push(label(&place, &name));
     }
     entities.extend([instruments, nests]);
-    SceneUpdate { deletions: Vec::new(), entities }
+    update(entities)
 }
 
 fn add_shape(body: &mut SceneEntity, visual: &Visual) {
@@ -216,7 +220,7 @@ pub(super) fn moving_lines(step: &PoseStep<'_>) -> SceneUpdate {
             sighting.axes().map(|(axis, rgba)| line(&[axis.origin, axis.origin + axis.vector], 0.015, rgba));
         seen.lines.extend(axes);
     }
-    SceneUpdate { deletions: Vec::new(), entities: step.chains.iter().map(chain).chain([seen]).collect() }
+    update(step.chains.iter().map(chain).chain([seen]))
 }
 
 pub(super) fn arrows(time: u64, name: String, arrows: &[Arrow], rgba: Colour) -> SceneUpdate {
@@ -235,21 +239,21 @@ pub(super) fn arrows(time: u64, name: String, arrows: &[Arrow], rgba: Colour) ->
     };
     let mut shown = entity(time, BASE, name);
     shown.arrows = arrows.iter().filter(|a| a.vector.norm() > 0.0).map(primitive).collect();
-    SceneUpdate { deletions: Vec::new(), entities: vec![shown] }
+    update([shown])
 }
 
 /// The path as planned.
 pub(super) fn planned_path(time: u64, path: &DrivenPath) -> SceneUpdate {
     let mut shown = entity(time, BASE, "planned path");
     shown.lines.extend(scene::planned_path(path).map(|points| line(&points, 0.01, scene::POINT)));
-    SceneUpdate { deletions: Vec::new(), entities: vec![shown] }
+    update([shown])
 }
 
 /// The path as measured, with errors enlarged 100 times.
 pub(super) fn driven_path(time: u64, mode: &DrivenMode) -> SceneUpdate {
     let mut shown = entity(time, BASE, format!("path with the commands of {}", mode.mode.key()));
     shown.lines.push(line(&scene::driven_path(mode), 0.008, scene::mode_colour(mode.mode)));
-    SceneUpdate { deletions: Vec::new(), entities: vec![shown] }
+    update([shown])
 }
 
 /// Points in the base frame, in single precision: for display only.

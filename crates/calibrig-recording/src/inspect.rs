@@ -6,10 +6,11 @@ use std::path::Path;
 
 use super::RecordingError;
 use super::directory::Directory;
+use super::framing::{ReadError, Whole, check_whole};
 use super::health::{FaultyPart, Health, State};
 use super::inspection::{INSPECT_SCHEMA, Inspection, Recoverable, SetReport};
 use super::provenance::RECOVERED;
-use super::records::{End, ReadError, Trust, Walked, Whole, check_whole, walk};
+use super::records::{End, Trust, Walked, walk};
 use super::survey::Survey;
 
 /// Is told how many bytes are done, and of how many.

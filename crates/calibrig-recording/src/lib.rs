@@ -34,6 +34,7 @@ mod exchange;
 mod figures;
 mod file;
 mod foxglove_scene;
+mod framing;
 mod health;
 mod inspect;
 mod inspection;

@@ -8,8 +8,9 @@ use std::path::Path;
 use nalgebra::Vector3;
 
 use self::contents::Contents;
+use super::framing::{ReadError, with_file};
 use super::messages::lies_below;
-use super::records::{ReadError, Unprotected, read_records, with_file};
+use super::records::{Unprotected, read_records};
 use super::{Provenance, RecordingError};
 use calibrig_files::{InputError, Source};
 use calibrig_files::{Robot, parse_robot};

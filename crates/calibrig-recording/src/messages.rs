@@ -7,7 +7,8 @@ use prost::{DecodeError, Message, Name};
 
 use super::RecordingError;
 use super::directory::Definitions;
-use super::records::{read_records, with_file};
+use super::framing::with_file;
+use super::records::read_records;
 use super::schema::v1;
 
 /// A message that tells of sets or estimates.
@@ -75,11 +76,11 @@ pub(super) fn decode<M: Message + Name + Default>(schema: &str, data: &[u8]) -> 
     M::decode(data).map_err(|error| error.to_string())
 }
 
-/// Passes the messages of the recording at `path` to `visit`: topic, name of the schema, and bytes.
-pub(super) fn read_messages(
-    path: &Path,
-    visit: &mut dyn FnMut(&str, &str, &[u8]) -> Result<(), String>,
-) -> Result<(), RecordingError> {
+/// Is given a message: its topic, the name of its schema, and its bytes.
+type Visitor<'a> = dyn FnMut(&str, &str, &[u8]) -> Result<(), String> + 'a;
+
+/// Passes the messages of the recording at `path` to `visit`.
+pub(super) fn read_messages(path: &Path, visit: &mut Visitor<'_>) -> Result<(), RecordingError> {
     let mut definitions = Definitions::default();
     let read = with_file(path, |file| {
         read_records(file, &mut |record| {

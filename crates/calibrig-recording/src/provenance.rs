@@ -1,7 +1,9 @@
 //! Where a recording comes from: its metadata, its input files, and a hash over both.
 
 use std::collections::BTreeMap;
+use std::num::NonZeroU32;
 use std::path::Path;
+use std::str::FromStr;
 
 use sha2::{Digest, Sha256};
 
@@ -131,26 +133,19 @@ impl Provenance {
         if found != expected {
             return Err(RecordingError::AlteredProvenance { expected, found });
         }
-        let seed = metadata
-            .get("seed")
-            .map(|seed| seed.parse().map_err(|_| bad("seed", Some(seed), "a whole number below 2^64")));
-        let trial = metadata.get("trial").map(|trial| {
-            let number = trial.parse().map_err(|_| bad("trial", Some(trial), "a whole number below 2^32"))?;
+        let trial = number(metadata, "trial", "a whole number below 2^32")?.map(|number| {
             let plant = metadata.get("plant");
             let known = PlantKind::ALL.into_iter().find(|kind| plant.is_some_and(|key| key == kind.key()));
             Ok::<_, RecordingError>((number, known.ok_or_else(|| bad("plant", plant, "rapier or analytic"))?))
         });
-        let method = metadata.get("method").map_or(Ok(1), |method| {
-            let number = method.parse().ok().filter(|number| *number > 0);
-            number.ok_or_else(|| bad("method", Some(method), "a whole number from 1 to 4294967295"))
-        });
+        let method: Option<NonZeroU32> = number(metadata, "method", "a whole number from 1 to 4294967295")?;
         Ok(Self {
             software: text(metadata, "software")?,
-            method: method?,
+            method: method.map_or(1, NonZeroU32::get),
             input_kind: text(metadata, "input_kind")?,
             input_name: text(metadata, "input_name")?,
             input_sha256: text(metadata, "input_sha256")?,
-            seed: seed.transpose()?,
+            seed: number(metadata, "seed", "a whole number below 2^64")?,
             trial: trial.transpose()?,
             provenance_sha256: expected,
         })
@@ -160,6 +155,16 @@ impl Provenance {
 fn bad(key: &str, found: Option<&String>, expected: &'static str) -> RecordingError {
     let found = found.map_or_else(|| "nothing".to_owned(), |value| format!("{value:?}"));
     RecordingError::BadProvenance { key: key.to_owned(), found, expected }
+}
+
+/// The number of a key, if it is there.
+fn number<T: FromStr>(
+    metadata: &BTreeMap<String, String>,
+    key: &str,
+    expected: &'static str,
+) -> Result<Option<T>, RecordingError> {
+    let stated = metadata.get(key);
+    stated.map(|text| text.parse().map_err(|_| bad(key, stated, expected))).transpose()
 }
 
 fn text(metadata: &BTreeMap<String, String>, key: &str) -> Result<String, RecordingError> {

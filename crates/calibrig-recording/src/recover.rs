@@ -10,12 +10,13 @@ use sha2::{Digest, Sha256};
 
 use super::directory::{Definitions, Directory};
 use super::file::write_whole;
+use super::framing::ReadError;
 use super::health::{FaultyPart, State};
 use super::inspect::{PASSES, Progress, Watched, inspect_file};
 use super::inspection::{Inspection, ProvenanceState};
 use super::mcap_writer::writer;
 use super::provenance::{ALTERED, METADATA, RECOVERED, hex};
-use super::records::{ReadError, walk};
+use super::records::walk;
 use super::{Provenance, RecordingError};
 
 /// The outcome of saving a file.

@@ -36,11 +36,12 @@ const LAST_PATIENCE: Duration = Duration::from_secs(20);
 
 /// Reads the address of a viewer.
 pub fn viewer_url(text: &str) -> Result<String, RecordingError> {
+    uri(text).map(|uri| uri.to_string())
+}
+
+fn uri(text: &str) -> Result<ProxyUri, RecordingError> {
     let bad = |reason| RecordingError::BadViewerUrl { url: text.to_owned(), reason };
-    match text.parse::<ProxyUri>() {
-        Ok(uri) => Ok(uri.to_string()),
-        Err(error) => Err(bad(error.to_string())),
-    }
+    text.parse::<ProxyUri>().map_err(|error| bad(error.to_string()))
 }
 
 /// A connection to a viewer.
@@ -80,10 +81,7 @@ pub struct Viewer {
 impl Viewer {
     /// Finds the viewer that listens at `url`.
     pub fn connect(url: &str) -> Result<Self, RecordingError> {
-        let uri: ProxyUri = url.parse().map_err(|error| RecordingError::BadViewerUrl {
-            url: url.to_owned(),
-            reason: format!("{error}"),
-        })?;
+        let uri = uri(url)?;
         let absent = |reason: String| RecordingError::NoViewer {
             url: url.to_owned(),
             reason,

@@ -30,20 +30,12 @@ impl EntityWriter {
     ) -> Result<(), RecordingError> {
         self.fixed(SCENE, &coordinates(up))?;
         let places: Vec<_> = trackers.iter().map(|tracker| tracker.translation.vector).collect();
-        let names = (1..=places.len()).map(|number| format!("tracker, station {number}"));
-        let points = Points3D::new(places.iter().map(xyz))
-            .with_labels(names)
-            .with_show_labels(true)
-            .with_colors([color(scene::TRACKER)])
-            .with_radii([0.12]);
-        self.fixed(&format!("{SCENE}/trackers"), &points)?;
+        let names = (1..=places.len()).map(|number| format!("tracker, station {number}")).collect();
+        let shown = balls(&places, names, scene::TRACKER, 0.12).with_show_labels(true);
+        self.fixed(&format!("{SCENE}/trackers"), &shown)?;
         let (names, nests): (Vec<_>, Vec<_>) = nests.into_iter().unzip();
-        let points = Points3D::new(nests.iter().map(xyz))
-            .with_labels(names)
-            .with_show_labels(false)
-            .with_colors([color(scene::NEST)])
-            .with_radii([0.04]);
-        self.fixed(&format!("{SCENE}/nests"), &points)?;
+        let shown = balls(&nests, names, scene::NEST, 0.04).with_show_labels(false);
+        self.fixed(&format!("{SCENE}/nests"), &shown)?;
         self.scales(up, places.first().copied().unwrap_or_default())
     }
 
@@ -63,27 +55,20 @@ impl EntityWriter {
             let centre = [xyz(&visual.link_from_shape.translation.vector)];
             let turn = [quaternion(&visual.link_from_shape)];
             match visual.shape {
-                VisualShape::Box(edges) => self.fixed(
-                    &path,
-                    &Boxes3D::from_centers_and_sizes(centre, [xyz(&edges.into())])
-                        .with_quaternions(turn)
-                        .with_colors([grey])
-                        .with_fill_mode(FillMode::Solid),
-                )?,
-                VisualShape::Cylinder { radius, length } => self.fixed(
-                    &path,
-                    &Cylinders3D::from_lengths_and_radii([single(length)], [single(radius)])
-                        .with_centers(centre)
-                        .with_quaternions(turn)
-                        .with_colors([grey])
-                        .with_fill_mode(FillMode::Solid),
-                )?,
-                VisualShape::Sphere(radius) => self.fixed(
-                    &path,
-                    &Ellipsoids3D::from_centers_and_radii(centre, [single(radius)])
-                        .with_colors([grey])
-                        .with_fill_mode(FillMode::Solid),
-                )?,
+                VisualShape::Box(edges) => {
+                    let cube = Boxes3D::from_centers_and_sizes(centre, [xyz(&edges.into())]);
+                    let cube = cube.with_quaternions(turn).with_colors([grey]);
+                    self.fixed(&path, &cube.with_fill_mode(FillMode::Solid))?;
+                }
+                VisualShape::Cylinder { radius, length } => {
+                    let cylinder = Cylinders3D::from_lengths_and_radii([single(length)], [single(radius)]);
+                    let cylinder = cylinder.with_centers(centre).with_quaternions(turn).with_colors([grey]);
+                    self.fixed(&path, &cylinder.with_fill_mode(FillMode::Solid))?;
+                }
+                VisualShape::Sphere(radius) => {
+                    let ball = Ellipsoids3D::from_centers_and_radii(centre, [single(radius)]);
+                    self.fixed(&path, &ball.with_colors([grey]).with_fill_mode(FillMode::Solid))?;
+                }
             }
         }
         Ok(())
@@ -212,6 +197,10 @@ impl EntityWriter {
 
 fn link_path(kind: ChainKind, index: usize) -> String {
     format!("{SCENE}/{}/link{}", kind.key(), index + 1)
+}
+
+fn balls(places: &[Vector3<f64>], names: Vec<String>, rgba: Colour, radius: f32) -> Points3D {
+    Points3D::new(places.iter().map(xyz)).with_labels(names).with_colors([color(rgba)]).with_radii([radius])
 }
 
 fn arrows3d(arrows: &[Arrow], rgba: Colour, thickness: f32) -> Arrows3D {

@@ -11,8 +11,8 @@ use mcap::{MessageStream, WriteOptions};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use crate::framing::pull;
 use crate::mcap_reader::read_from;
-use crate::records::pull;
 use crate::{McapRecorder, Measured, Preamble, ReadOptions, Recorder, Recording, TrueSetting, synthetic};
 use calibrig_estimation::identification::Estimate;
 use calibrig_model::measurement::SetKind;
