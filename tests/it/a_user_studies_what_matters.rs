@@ -173,7 +173,11 @@ fn what_is_wrong_with_a_campaign_is_told_at_its_place() {
         ),
         ("[campaign]\ndesign = \"sweep\"\n".to_owned(), "nothing varies", "[[campaign.factor]]"),
         ("[campaign]\ndesign = \"grid\"\n".to_owned(), "campaign.design is \"grid\"", "sweep"),
-        (format!("[campaign]\n{factor}levels = [1]\n"), "it does not state which value varies", "tracker.random_fraction"),
+        (
+            format!("[campaign]\n{factor}levels = [1]\n"),
+            "it does not state which value varies",
+            "tracker.random_fraction",
+        ),
         (format!("[campaign]\n{factor}{noise}"), "it states no values", "distribution = \"uniform\""),
         (
             format!("[campaign]\n{factor}key = \"tracker.no_key\"\nlevels = [1]\n"),
