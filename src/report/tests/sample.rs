@@ -33,11 +33,11 @@ use calibrig_plant::AsBuilt;
 use calibrig_plant::effects::{EffectKind, Effects};
 
 /// Displacement of the base from where the nests place it, m and rad.
-pub(super) const TRUE_FRAME: [f64; 6] = [4e-5, -6e-5, 2e-5, 1.5e-5, -0.8e-5, 2.2e-5];
+pub(in crate::report) const TRUE_FRAME: [f64; 6] = [4e-5, -6e-5, 2e-5, 1.5e-5, -0.8e-5, 2.2e-5];
 /// As-built minus stated offset of the target, m.
-pub(super) const TARGET_ERROR: [f64; 3] = [2e-5, -1e-5, 3e-5];
+pub(in crate::report) const TARGET_ERROR: [f64; 3] = [2e-5, -1e-5, 3e-5];
 /// A name that must never reach a page as it is.
-pub(super) const HOSTILE: &str = "<script>alert(\"1\")</script> & 'co'";
+pub(in crate::report) const HOSTILE: &str = "<script>alert(\"1\")</script> & 'co'";
 
 const STATED_TARGET: [f64; 3] = [0.10, 0.15, 0.20];
 /// Wang et al., Machines 2023, 11, 20, section on identified errors: a, alpha, d, theta, beta per link, m and rad.
@@ -73,7 +73,7 @@ fn built(nominal: &KinematicModel) -> KinematicModel {
 }
 
 /// The same with corrected commands that were driven: every error is what its mode predicted, and a pose of the last mode was not corrected.
-pub(super) fn driven() -> Outcome {
+pub(in crate::report) fn driven() -> Outcome {
     let mut outcome = simulated();
     let of_mode = |mode: &ModeOutcome| {
         let set = outcome.sets[1].clone();
@@ -125,7 +125,7 @@ pub(super) fn driven() -> Outcome {
 }
 
 /// A simulated run with truth, 60 and 38 poses, two of the verification set dropped.
-pub(super) fn simulated() -> Outcome {
+pub(in crate::report) fn simulated() -> Outcome {
     let nominal = nominal();
     let as_built = built(&nominal);
     let prior = translation(3.0, -6.0, 1.2) * rotation_z(0.4) * rotation_x(-1.5);
@@ -227,7 +227,7 @@ pub(super) fn simulated() -> Outcome {
 
 /// A simulated robot with the contributions of three parts: one without which every error is half as large, one that changes nothing, one
 /// without which the run fails.
-pub(super) fn ablated() -> Outcome {
+pub(in crate::report) fn ablated() -> Outcome {
     let mut outcome = simulated();
     let complete: AblationRows = outcome.modes.iter().map(|mode| mode.rows.clone()).collect();
     let mut halved = complete.clone();
@@ -258,7 +258,7 @@ pub(super) fn ablated() -> Outcome {
 
 /// A real robot: no truth, no verification set, no gravity mode, rank-deficient, readings without stated noise, hostile names, and
 /// numbers that are not finite where they may occur.
-pub(super) fn measured() -> Outcome {
+pub(in crate::report) fn measured() -> Outcome {
     let mut outcome = simulated();
     outcome.truth = None;
     outcome.published.clear();
