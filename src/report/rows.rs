@@ -5,8 +5,8 @@ use plotters::style::text_anchor::{HPos, VPos};
 
 use super::files::ReportError;
 use super::plots::{
-    Area, Chart, Drawn, GRID, INK, Look, Scale, WIDTH, centred, drawable, finite_range, ink, marker,
-    one_two_five, padded, px, svg, text_at, values_below, vertical_ticks, whisker,
+    Area, Chart, Drawn, GRID, INK, Look, Scale, WIDTH, centred, drawable, finite_range, ink, marker, padded,
+    px, svg, text_at, values_below, vertical_ticks, whisker,
 };
 use super::words::cut;
 
@@ -136,7 +136,7 @@ impl Panel {
                 .draw()?;
             vertical_ticks(body, &chart, &scale.ticks, &(bottom..-0.5))?;
         } else {
-            values_below(&mut chart, width, 2..=7)?;
+            values_below(&mut chart, width, 3..=7)?;
         }
         let plot = chart.plotting_area();
         for row in 1..self.rows.len() {
