@@ -11,7 +11,7 @@ use super::document::finite;
 use super::markup::key;
 use super::plots::look;
 use super::terminal::{Ink, Style, aligned, millimetres};
-use super::words::{counted, number};
+use super::words::{capital, counted, number};
 use crate::pipeline::{Outcome, SetKind};
 use calibrig_estimation::evaluation::{Acceptance, accept};
 use calibrig_estimation::identification::Mode;
@@ -141,7 +141,7 @@ pub(super) fn acceptance_table(outcome: &Outcome, index: usize) -> Markup {
                     }
                 }
             }
-            p.note { (note(first).trim_start()) "." }
+            p.note { (capital(note(first).trim_start())) "." }
         }
     }
 }

@@ -7,6 +7,7 @@ use super::accuracy::{accuracy_section, judged_set, row};
 use super::closed_loop::closed_loop_section;
 use super::errors::errors_section;
 use super::files::ReportError;
+use super::json::SCHEMA;
 use super::judgement::{residual_section, sure_section};
 use super::markup::{key, page};
 use super::parameter_section::parameters_section;
@@ -164,7 +165,7 @@ fn reproduce_section(outcome: &Outcome) -> Markup {
             p {
                 "With calibrig " (env!("CARGO_PKG_VERSION")) ", the same input and the same options, the numbers are the same on the same machine, bit by bit. "
                 "The numbers of this page in full precision, in metres and radians, are in " code { "report.json" }
-                " beside it (schema " code { (super::SCHEMA) } ")."
+                " beside it (schema " code { (SCHEMA) } ")."
             }
             @if !outcome.sources.is_empty() {
                 table.files {

@@ -132,7 +132,7 @@ fn dh_table(outcome: &Outcome) -> Markup {
         } }
         p.note {
             "Craig\u{2019}s (modified) D-H parameters, with Hayati\u{2019}s \u{3b2} about y, without the joint variables. A controller that takes this table still lacks compliances and terms. "
-            "`calibrig identify --export` gives the robot with them."
+            code { "calibrig export calibrated" } " writes the robot with them."
         }
     }
 }

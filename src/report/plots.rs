@@ -294,6 +294,46 @@ impl Axes<'_> {
     }
 }
 
+/// An axis, which is logarithmic where its values are far from each other.
+pub(super) struct Scale {
+    /// Where a logarithmic one has lines; else none.
+    pub ticks: Vec<f64>,
+    /// In logarithms, where it is one of them.
+    pub range: Range<f64>,
+}
+
+impl Scale {
+    pub fn linear(range: Range<f64>) -> Self {
+        Self { ticks: Vec::new(), range }
+    }
+
+    /// From `low` to `high`, with at most so many lines; `None` where these are not `far` times each other.
+    pub fn logarithmic(low: f64, high: f64, far: f64, most: usize) -> Option<Self> {
+        let ticks = if low > 0.0 && high / low > far { one_two_five(low, high) } else { Vec::new() };
+        let [first, .., last] = ticks[..] else { return None };
+        Some(Self { range: first.log10()..last.log10(), ticks: few(ticks, most) })
+    }
+
+    pub fn at(&self, value: f64) -> f64 {
+        if self.ticks.is_empty() {
+            value
+        } else {
+            value.max(1e-9).log10().clamp(self.range.start, self.range.end)
+        }
+    }
+}
+
+/// As many lines of a logarithmic axis as have room for their values: decades, of many each second one.
+fn few(ticks: Vec<f64>, most: usize) -> Vec<f64> {
+    if ticks.len() <= most {
+        return ticks;
+    }
+    let is_decade = |tick: &f64| (tick.log10() - tick.log10().round()).abs() < 1e-6;
+    let decades: Vec<f64> = ticks.into_iter().filter(is_decade).collect();
+    let step = decades.len().div_ceil(most).max(1);
+    decades.into_iter().step_by(step).collect()
+}
+
 /// From the first to the last of the values of a logarithmic axis; never empty.
 pub(super) fn log_range(ticks: &[f64]) -> Range<f64> {
     let low = ticks.first().map_or(-1.0, |tick| tick.log10());

@@ -1,14 +1,12 @@
 //! Rows of figures with their intervals, in panels beside each other that have the rows in common.
 
-use std::ops::Range;
-
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
 
 use super::files::ReportError;
 use super::plots::{
-    Area, Chart, Drawn, GRID, INK, Look, WIDTH, centred, drawable, finite_range, ink, marker, one_two_five,
-    padded, px, svg, text_at, values_below, vertical_ticks, whisker,
+    Area, Chart, Drawn, GRID, INK, Look, Scale, WIDTH, centred, drawable, finite_range, ink, marker, padded,
+    px, svg, text_at, values_below, vertical_ticks, whisker,
 };
 use super::words::cut;
 
@@ -67,17 +65,6 @@ impl Panel {
     }
 }
 
-/// As many lines of a logarithmic axis as have room for their values: decades, of many each second one.
-fn few(ticks: Vec<f64>) -> Vec<f64> {
-    if ticks.len() <= MOST_TICKS {
-        return ticks;
-    }
-    let is_decade = |tick: &f64| (tick.log10() - tick.log10().round()).abs() < 1e-6;
-    let decades: Vec<f64> = ticks.into_iter().filter(is_decade).collect();
-    let step = decades.len().div_ceil(MOST_TICKS).max(1);
-    decades.into_iter().step_by(step).collect()
-}
-
 /// Draws panels over rows of these names.
 pub(super) fn dots(
     figure: &'static str,
@@ -109,18 +96,6 @@ pub(super) fn dots(
     })
 }
 
-/// From values to places on the axis.
-struct Scale {
-    is_log: bool,
-    low: f64,
-}
-
-impl Scale {
-    fn at(&self, value: f64) -> f64 {
-        if self.is_log { value.max(self.low).log10() } else { value }
-    }
-}
-
 impl Panel {
     fn values(&self) -> impl Iterator<Item = f64> {
         self.rows
@@ -132,22 +107,18 @@ impl Panel {
             .filter(|value| drawable(*value))
     }
 
-    /// The axis, and the values at which a logarithmic one has lines.
-    fn axis(&self) -> (Scale, Range<f64>, Vec<f64>) {
+    fn scale(&self) -> Scale {
         let least =
             self.rows.iter().flatten().map(|dot| dot.value).chain([self.zero]).fold(f64::INFINITY, f64::min);
         let most = self.values().fold(0.0, f64::max);
-        if !self.bars && least > 0.0 && most / least > self.far {
-            let ticks = one_two_five(least, most);
-            if let [low, .., high] = ticks[..] {
-                return (Scale { is_log: true, low }, low.log10()..high.log10(), few(ticks));
-            }
-        }
-        (Scale { is_log: false, low: 0.0 }, padded(&finite_range(self.values())), Vec::new())
+        let far = if self.bars { f64::INFINITY } else { self.far };
+        Scale::logarithmic(least, most, far, MOST_TICKS)
+            .unwrap_or_else(|| Scale::linear(padded(&finite_range(self.values()))))
     }
 
     fn draw(&self, body: &Area, names: Option<(&Area, &[String], i32)>) -> Drawn {
-        let (scale, x, ticks) = self.axis();
+        let scale = self.scale();
+        let x = scale.range.clone();
         let bottom = self.rows.len().max(1) as f64 - 0.5;
         let mut chart = ChartBuilder::on(body)
             .margin_left(px(16))
@@ -155,7 +126,7 @@ impl Panel {
             .x_label_area_size(px(AXIS))
             .build_cartesian_2d(x.clone(), bottom..-0.5)?;
         let width = body.dim_in_pixel().0;
-        if scale.is_log {
+        if !scale.ticks.is_empty() {
             chart
                 .configure_mesh()
                 .disable_mesh()
@@ -163,9 +134,9 @@ impl Panel {
                 .x_labels(0)
                 .axis_style(INK.mix(0.6).stroke_width(2))
                 .draw()?;
-            vertical_ticks(body, &chart, &ticks, &(bottom..-0.5))?;
+            vertical_ticks(body, &chart, &scale.ticks, &(bottom..-0.5))?;
         } else {
-            values_below(&mut chart, width, 2..=7)?;
+            values_below(&mut chart, width, 3..=7)?;
         }
         let plot = chart.plotting_area();
         for row in 1..self.rows.len() {

@@ -176,7 +176,7 @@ fn consistency(mode: &ModeOutcome, say: &mut Vec<String>) {
 }
 
 /// The errors beside what is possible at all.
-fn errors_over_bound(outcome: &Outcome, estimate: &Estimate) -> Option<String> {
+fn errors_over_bound(outcome: &Outcome, estimate: &Estimate, is_first: bool) -> Option<String> {
     let bounds = outcome.bounds.iter().find(|bounds| bounds.mode == estimate.robot.mode)?;
     let (name, least) = match (&bounds.bayesian, &bounds.cramer_rao) {
         (Some(sigmas), _) => ("the Bayesian Cramér-Rao bound", sigmas),
@@ -189,9 +189,13 @@ fn errors_over_bound(outcome: &Outcome, estimate: &Estimate) -> Option<String> {
     let ratios = ratios.filter(|ratios| !ratios.is_empty())?;
     let rms = (ratios.iter().map(|r| r * r).sum::<f64>() / ratios.len() as f64).sqrt();
     Some(format!(
-        "Its errors are {} times {name} at the truth (RMS). The bound is what the noise of the readings leaves even to the best estimator, if the model is \
-         complete.",
-        significant(rms)
+        "Its errors are {} times {name} at the truth (RMS).{}",
+        significant(rms),
+        if is_first {
+            " The bound is what the noise of the readings leaves even to the best estimator, if the model is complete."
+        } else {
+            ""
+        }
     ))
 }
 
@@ -214,7 +218,7 @@ fn parameters_against_truth(outcome: &Outcome, say: &mut Vec<String>) {
             0.95 * ratios.len() as f64,
             significant(rms)
         ));
-        say.extend(errors_over_bound(outcome, estimate));
+        say.extend(errors_over_bound(outcome, estimate, index == 0));
     }
     let unfitted = unfitted_deviations(outcome);
     if !unfitted.is_empty() {

@@ -53,6 +53,6 @@ mod tests {
         assert_eq!(text(1.25e-3, 1.13e-3, 1.37e-3, 1e3), "1.25 \u{b1} 0.12");
         assert_eq!(text(1.25, 1.05, 1.8, 1.0), "1.25 [1.05, 1.80]");
         // What rounding makes of the ends is no asymmetry.
-        assert_eq!(text(0.5, 0.4 + 1e-12, 0.6, 1.0), "0.50 \u{b1} 0.10");
+        assert_eq!(text(0.5, 0.3 + 1e-12, 0.7, 1.0), "0.50 \u{b1} 0.20");
     }
 }

@@ -13,8 +13,8 @@ use crate::montecarlo::{
 use crate::report::files::ReportError;
 use crate::report::markup::key;
 use crate::report::plots::{
-    Area, Chart, Drawn, INK, WIDTH, dashed, drawable, finite_range, foot, ink, look, marker, one_two_five,
-    padded, px, svg, text_style, tick, values_below, vertical_ticks, whisker,
+    Area, Chart, Drawn, INK, Scale, WIDTH, dashed, drawable, finite_range, foot, ink, look, marker, padded,
+    px, svg, text_style, tick, values_below, vertical_ticks, whisker,
 };
 use crate::report::words::number;
 use calibrig_campaign::statistics::Histogram;
@@ -87,7 +87,7 @@ fn caption(summary: &CampaignSummary, rows: &[(&ModeSummary, &SetSummary)]) -> M
     let x = span(rows);
     html! {
         "Distribution of the trials by the RMS of their 3-D errors, each mode on its own height: bins of equal width from its least to its largest trial. "
-        @if !Axis::of(rows, summary.tolerance).ticks.is_empty() { "The areas are the shares of the trials. " }
+        @if !axis_of(rows, summary.tolerance).ticks.is_empty() { "The areas are the shares of the trials. " }
         "Below, from the 5 % to the 95 % quantile of single trials, with the mean as marker. "
         @if let Some(tolerance) = summary.tolerance {
             @if is_near(tolerance, &x) { "Dashed: the tolerance, " (millimetres(tolerance)) "." }
@@ -115,39 +115,20 @@ fn is_near(tolerance: f64, x: &Range<f64>) -> bool {
     (x.start / BEYOND..=x.end * BEYOND).contains(&(MM * tolerance))
 }
 
-/// The axis that all modes have in common.
-struct Axis {
-    /// Where a logarithmic one has lines, mm; else none.
-    ticks: Vec<f64>,
-    range: Range<f64>,
+/// The axis that all modes have in common, mm.
+fn axis_of(rows: &[(&ModeSummary, &SetSummary)], tolerance: Option<f64>) -> Scale {
+    let mut x = span(rows);
+    if let Some(tolerance) = tolerance.filter(|t| is_near(*t, &x)) {
+        x = x.start.min(MM * tolerance)..x.end.max(MM * tolerance);
+    }
+    let linear = || Scale::linear(padded(&finite_range([x.start, x.end].into_iter())));
+    Scale::logarithmic(x.start, x.end, FAR, usize::MAX).unwrap_or_else(linear)
 }
 
-impl Axis {
-    fn of(rows: &[(&ModeSummary, &SetSummary)], tolerance: Option<f64>) -> Self {
-        let mut x = span(rows);
-        if let Some(tolerance) = tolerance.filter(|t| is_near(*t, &x)) {
-            x = x.start.min(MM * tolerance)..x.end.max(MM * tolerance);
-        }
-        if x.start > 0.0 && x.end / x.start > FAR {
-            let ticks = one_two_five(x.start, x.end);
-            if let [low, .., high] = ticks[..] {
-                return Self { range: low.log10()..high.log10(), ticks };
-            }
-        }
-        Self { ticks: Vec::new(), range: padded(&finite_range([x.start, x.end].into_iter())) }
-    }
-
-    fn at(&self, mm: f64) -> f64 {
-        if self.ticks.is_empty() { mm } else { mm.max(1e-9).log10().clamp(self.range.start, self.range.end) }
-    }
-}
-
-impl Axis {
-    /// Of the bins: their shares, on a logarithmic axis over their width there, so that areas are shares.
-    fn heights<'b>(&'b self, bins: &'b [Bin]) -> impl Iterator<Item = f64> + 'b {
-        let width = |bin: &Bin| (self.at(MM * bin.ends.1) - self.at(MM * bin.ends.0)).max(1e-6);
-        bins.iter().map(move |bin| if self.ticks.is_empty() { bin.share } else { bin.share / width(bin) })
-    }
+/// Heights of bins: their shares, on a logarithmic axis over their width there, so that areas are shares.
+fn heights<'b>(axis: &'b Scale, bins: &'b [Bin]) -> impl Iterator<Item = f64> + 'b {
+    let width = |bin: &Bin| (axis.at(MM * bin.ends.1) - axis.at(MM * bin.ends.0)).max(1e-6);
+    bins.iter().map(move |bin| if axis.ticks.is_empty() { bin.share } else { bin.share / width(bin) })
 }
 
 /// A row a mode, on one axis.
@@ -157,7 +138,7 @@ fn histograms(
 ) -> Result<String, ReportError> {
     const PANEL: i32 = 104;
     const FOOT: i32 = 46;
-    let axis = Axis::of(rows, summary.tolerance);
+    let axis = axis_of(rows, summary.tolerance);
     let count = i32::try_from(rows.len()).unwrap_or(1).max(1);
     svg(
         "distributions",
@@ -170,7 +151,7 @@ fn histograms(
                 let height = px(PANEL + if is_last { 26 } else { 0 });
                 let panel = area.clone().shrink((0, top), (px(WIDTH), height));
                 let bins = shares(set.histogram.as_ref(), set.rms_3d.trials);
-                let most = axis.heights(&bins).fold(0.0, f64::max).max(1e-6);
+                let most = heights(&axis, &bins).fold(0.0, f64::max).max(1e-6);
                 let y = -0.28 * most..1.05 * most;
                 let mut chart = ChartBuilder::on(&panel)
                     .margin_top(px(6))
@@ -196,7 +177,7 @@ fn histograms(
 }
 
 /// Lines of the grid, and their values below the last panel.
-fn below(panel: &Area, chart: &mut Chart, axis: &Axis, (y, is_last): (&Range<f64>, bool)) -> Drawn {
+fn below(panel: &Area, chart: &mut Chart, axis: &Scale, (y, is_last): (&Range<f64>, bool)) -> Drawn {
     if axis.ticks.is_empty() {
         if is_last {
             return values_below(chart, panel.dim_in_pixel().0, 4..=10);
@@ -247,7 +228,7 @@ fn shares(histogram: Option<&Histogram>, trials: u64) -> Vec<Bin> {
 }
 
 struct Bars<'a> {
-    axis: &'a Axis,
+    axis: &'a Scale,
     look: &'a crate::report::plots::Look,
     set: &'a SetSummary,
     most: f64,
@@ -257,7 +238,7 @@ impl Bars<'_> {
     fn draw(&self, panel: &Area, chart: &Chart, bins: &[Bin]) -> Drawn {
         let plot = chart.plotting_area();
         let at = |metres: f64| self.axis.at(MM * metres);
-        for (bin, height) in bins.iter().zip(self.axis.heights(bins)) {
+        for (bin, height) in bins.iter().zip(heights(self.axis, bins)) {
             let (low, high) = (at(bin.ends.0), at(bin.ends.1));
             plot.draw(&Rectangle::new([(low, 0.0), (high, height)], self.look.light.mix(0.4).filled()))?;
             let outline = vec![(low, 0.0), (low, height), (high, height), (high, 0.0)];
@@ -382,9 +363,10 @@ mod tests {
         assert!((bins.iter().map(|bin| bin.share).sum::<f64>() - 100.0).abs() < 1e-9);
         assert!((bins[0].ends.0 - 1e-3).abs() < 1e-12 && (bins[7].ends.1 - 2e-3).abs() < 1e-12);
         // On a logarithmic axis areas are the shares.
-        let axis = Axis { ticks: vec![1.0, 2.0], range: 0.0..2.0_f64.log10() };
+        let axis = Scale { ticks: vec![1.0, 2.0], range: 0.0..2.0_f64.log10() };
         let width = |bin: &Bin| axis.at(1e3 * bin.ends.1) - axis.at(1e3 * bin.ends.0);
-        let areas: f64 = bins.iter().zip(axis.heights(&bins)).map(|(bin, height)| height * width(bin)).sum();
+        let areas: f64 =
+            bins.iter().zip(heights(&axis, &bins)).map(|(bin, height)| height * width(bin)).sum();
         assert!((areas - 100.0).abs() < 1e-9, "{areas}");
     }
 }

@@ -4,6 +4,7 @@ use maud::{Markup, html};
 
 use super::words::{MM, NONE, count, drawn, estimate, index, set_words, unit};
 use crate::montecarlo::{CampaignSummary, FactorEffect, Sensitivity};
+use crate::report::files::ReportError;
 use crate::report::markup::key;
 use crate::report::plots::look;
 use crate::report::rows::{Dot, Panel, dots};
@@ -82,11 +83,7 @@ fn caption(indices: bool) -> &'static str {
     }
 }
 
-fn tornado(
-    summary: &CampaignSummary,
-    names: &[String],
-    indices: bool,
-) -> Result<String, crate::report::ReportError> {
+fn tornado(summary: &CampaignSummary, names: &[String], indices: bool) -> Result<String, ReportError> {
     let factor = if indices { 1.0 } else { MM };
     let titles = if indices {
         ["total index", "first-order index"]

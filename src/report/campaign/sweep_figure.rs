@@ -10,8 +10,8 @@ use super::words::{MM, level};
 use crate::montecarlo::{CampaignSummary, GroupSummary, MeanWithInterval};
 use crate::report::files::ReportError;
 use crate::report::plots::{
-    Area, Axes, Chart, Drawn, Look, SCALE, WIDTH, centred, curve, dashed, drawable, foot, ink, look, marker,
-    one_two_five, padded, px, svg, text_style,
+    Area, Axes, Chart, Drawn, Look, SCALE, Scale, WIDTH, centred, curve, dashed, drawable, foot, ink, look,
+    marker, padded, px, svg, text_style,
 };
 use crate::report::words::cut;
 use calibrig_estimation::identification::Mode;
@@ -57,36 +57,12 @@ impl<'a> Levels<'a> {
     }
 }
 
-/// The vertical axis that all panels have in common, mm.
-struct Height {
-    range: Range<f64>,
-    /// Where a logarithmic one has lines; else none.
-    ticks: Vec<f64>,
-}
-
-impl Height {
-    fn of(all: &[&MeanWithInterval]) -> Self {
-        let ends = |m: &&MeanWithInterval| [m.quantiles[0], m.quantiles[2], m.mean].map(|metres| MM * metres);
-        let values = || all.iter().flat_map(ends).filter(|v| drawable(*v));
-        let (low, high) = (values().fold(f64::INFINITY, f64::min), values().fold(1e-6, f64::max));
-        if low > 0.0 && high / low > FAR {
-            let ticks = one_two_five(low, high);
-            if let [first, .., last] = ticks[..] {
-                let range = first.log10()..last.log10();
-                let decades = |tick: &f64| {
-                    ticks.len() <= MOST_TICKS || (tick.log10() - tick.log10().round()).abs() < 1e-6
-                };
-                return Self { range, ticks: ticks.iter().copied().filter(decades).collect() };
-            }
-        }
-        Self { range: 0.0..1.08 * high, ticks: Vec::new() }
-    }
-
-    fn at(&self, metres: f64) -> f64 {
-        let mm = MM * metres;
-        let at = if self.ticks.is_empty() { mm } else { mm.max(1e-9).log10() };
-        at.clamp(self.range.start, self.range.end)
-    }
+/// The upright axis that all panels have in common, mm.
+fn height_of(all: &[&MeanWithInterval]) -> Scale {
+    let ends = |m: &&MeanWithInterval| [m.quantiles[0], m.quantiles[2], m.mean].map(|metres| MM * metres);
+    let values = || all.iter().flat_map(ends).filter(|v| drawable(*v));
+    let (low, high) = (values().fold(f64::INFINITY, f64::min), values().fold(1e-6, f64::max));
+    Scale::logarithmic(low, high, FAR, MOST_TICKS).unwrap_or_else(|| Scale::linear(0.0..1.08 * high))
 }
 
 /// A panel: the groups whose first level is this.
@@ -123,7 +99,7 @@ pub(super) fn curves(summary: &CampaignSummary) -> Result<String, ReportError> {
         .iter()
         .flat_map(|group| (0..modes.len()).filter_map(|place| Some(&set_of(group, place)?.rms_3d)))
         .collect();
-    let height = Height::of(&all);
+    let height = height_of(&all);
     let columns = panels.len().clamp(1, COLUMNS);
     let rows = panels.len().div_ceil(columns).max(1);
     let (panel, title) = if panels.len() == 1 { (300, 0) } else { (200, TITLE) };
@@ -146,7 +122,7 @@ pub(super) fn curves(summary: &CampaignSummary) -> Result<String, ReportError> {
 struct Drawing<'a> {
     summary: &'a CampaignSummary,
     levels: &'a Levels<'a>,
-    height: &'a Height,
+    height: &'a Scale,
     modes: &'a [Mode],
 }
 
@@ -163,7 +139,7 @@ impl Drawing<'_> {
         if let Some(at) = self
             .summary
             .tolerance
-            .map(|tolerance| self.height.at(tolerance))
+            .map(|tolerance| self.height.at(MM * tolerance))
             .filter(|at| *at > y.start && *at < y.end)
         {
             dashed(&chart, [(x.start, at), (x.end, at)], ink(3))?;
@@ -196,8 +172,8 @@ impl Drawing<'_> {
             let (mut there, mut back) = (Vec::new(), Vec::new());
             for (x, m) in points {
                 let (low, high) = ends(m);
-                there.push((*x, self.height.at(low)));
-                back.push((*x, self.height.at(high)));
+                there.push((*x, self.height.at(MM * low)));
+                back.push((*x, self.height.at(MM * high)));
             }
             let plot = chart.plotting_area();
             if let ([low], [high]) = (&there[..], &back[..]) {
@@ -217,7 +193,7 @@ impl Drawing<'_> {
     }
 
     fn curve(&self, chart: &Chart, look: &Look, points: &[(f64, &MeanWithInterval)]) -> Drawn {
-        let line: Vec<_> = points.iter().map(|(x, m)| (*x, self.height.at(m.mean))).collect();
+        let line: Vec<_> = points.iter().map(|(x, m)| (*x, self.height.at(MM * m.mean))).collect();
         if line.len() > 1 {
             curve(chart, look, line.clone())?;
         }

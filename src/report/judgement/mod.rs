@@ -19,7 +19,7 @@ use crate::report::plots::thinned_words;
 use crate::report::scatter::scatter_words;
 use crate::report::terminal::{Ink, Style};
 use crate::report::words::{
-    counted, length_words, number, parameter_words, printable, printed_unit, significant,
+    capital, counted, length_words, number, parameter_words, printable, printed_unit, significant,
 };
 use calibrig_estimation::evaluation::{Cause, ResidualPattern};
 use calibrig_estimation::identification::{Mode, Outlier};
@@ -182,7 +182,7 @@ fn verdict(judgement: &Judgement) -> Markup {
         @if !found.is_empty() {
             ul.warnings { @for pattern in found { li { (pattern) } } }
         }
-        @for words in held_out_words(judgement) { p { (words) "." } }
+        @for words in held_out_words(judgement) { p { (capital(&words)) "." } }
     }
 }
 

@@ -3,6 +3,8 @@
 pub(in crate::report) mod pages;
 pub(in crate::report) mod sample;
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use super::*;
 
 #[test]
@@ -50,4 +52,36 @@ fn others_may_read_what_the_umask_allows() {
     write_reports(&sample::measured(), folder.path()).expect("a report");
     let mode = |path: &Path| std::fs::metadata(path).expect("a file").permissions().mode();
     assert_eq!(mode(&folder.path().join("report.json")), mode(&plain));
+}
+
+/// Numbers and words below, figures and sections above them, pages on top: no file needs one that needs it.
+#[test]
+fn the_files_of_the_report_stand_in_an_order() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/report");
+    let mut needs: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
+    for entry in std::fs::read_dir(folder).expect("the folder") {
+        let path = entry.expect("an entry").path();
+        let name = path.file_stem().expect("a name").to_string_lossy().into_owned();
+        let files: Vec<_> = if path.is_dir() {
+            std::fs::read_dir(&path).expect("a folder").map(|entry| entry.expect("an entry").path()).collect()
+        } else {
+            vec![path]
+        };
+        for file in files.iter().filter(|file| file.extension().is_some_and(|ending| ending == "rs")) {
+            let start = if files.len() > 1 { "use crate::report::" } else { "use super::" };
+            let text = std::fs::read_to_string(file).expect("readable");
+            let modules = text.lines().filter_map(|line| line.strip_prefix(start)?.split([':', ';']).next());
+            needs.entry(name.clone()).or_default().extend(modules.map(str::to_owned));
+        }
+    }
+    needs.retain(|name, _| name != "mod" && name != "tests");
+    assert!(needs.len() > 30 && needs["html"].contains("trust"), "{needs:?}");
+    while !needs.is_empty() {
+        let known: BTreeSet<String> = needs.keys().cloned().collect();
+        let is_free = |own: &BTreeSet<String>, name: &str| {
+            own.iter().all(|other| other == name || !known.contains(other))
+        };
+        needs.retain(|name, own| !is_free(own, name));
+        assert!(needs.len() < known.len(), "in a circle: {known:?}");
+    }
 }
