@@ -68,7 +68,7 @@ struct Cli {
 const EXIT_CODES: &str = "Exit codes:
   0  done: the stated intervals hold as far as the data can tell; warnings may stand, also of a misfit that the intervals
      account for, and of drives without visible compliance
-  1  no result: input refused, or the nominal robot does not lie on the points (RMS after best fit at a large share of the
+  1  no result: input refused, or the nominal robot does not fit the points (RMS after best fit at a large share of the
      robot's size; the fit does not start; --fit-anyway goes on and then ends with 3)
   2  wrong usage
   3  a result that a person must look at: not converged; rank-deficient in what was asked for; a stated prior, nest or

@@ -465,7 +465,7 @@ fn the_exit_codes_are_told_in_the_same_words() {
         for words in [
             "done: the stated intervals hold as far as the data can tell; warnings may stand, also of a misfit that the intervals account for, and \
              of drives without visible compliance",
-            "no result: input refused, or the nominal robot does not lie on the points",
+            "no result: input refused, or the nominal robot does not fit the points",
             "a result that a person must look at: not converged; rank-deficient in what was asked for; a stated prior, nest or target contradicted; \
              a bound of the user reached; a parameter whose identification makes held-out poses worse than leaving it; gross errors that carry \
              weight in the fit; replay differs; acceptance missed; shards missing",
