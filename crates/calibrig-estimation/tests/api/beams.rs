@@ -5,13 +5,12 @@ use calibrig_model::{Beam, BeamRun, CalibrationModel, JointKind, SegmentLength};
 use proptest::prelude::*;
 
 use crate::names;
-use crate::robots::{bad, beam, model};
+use crate::robots::{bad, beam, command, model};
 
 type BeamFault = (fn(&mut Beam, f64), &'static str);
 
-const BEAM_FAULTS: [BeamFault; 6] = [
+const BEAM_FAULTS: [BeamFault; 5] = [
     (|beam, _| beam.segments.clear(), "no segments"),
-    (|beam, bad| beam.segments[0].length = SegmentLength::Constant(-bad.abs()), "length must be positive"),
     (|beam, _| beam.segments[0].section.axial = f64::NAN, "axial stiffness"),
     (|beam, _| beam.segments[0].section.bending[1] = -1.0, "bending stiffness"),
     (|beam, _| beam.segments[0].section.shear[0] = 0.0, "shear stiffness"),
@@ -39,6 +38,17 @@ proptest! {
         names(chain.set_model(&model), field, "ElasticChain::set_model");
     }
 
+    #[test]
+    fn a_beam_without_length_does_not_settle(mut model in with_beam(), bad in bad(), pose in 0..9_u32) {
+        let command = command(&model, pose);
+        for length in [-bad.abs(), 0.0, -0.5] {
+            let beam = model.statics.as_mut().and_then(|statics| statics.beams[0].as_mut()).expect("a beam");
+            beam.segments[0].length = SegmentLength::Constant(length);
+            let settled = ElasticChain::new(&model).map(|mut chain| chain.settle(&command, &[], Deflection::Equilibrium));
+            names(settled.expect("a robot"), "length", "settle");
+        }
+    }
+
     /// A telescope that is drawn in farther than its beam begins.
     #[test]
     fn a_joint_variable_without_length_is_refused(mut model in with_beam(), bad in bad()) {
@@ -49,7 +59,7 @@ proptest! {
         model.statics.as_mut().expect("masses").beams[0] = Some(telescope);
         model.kinematics.links[0].limits = [1.5, 2.0];
         let mut chain = ElasticChain::new(&model).expect("a robot");
-        let mut command = vec![0.0; model.kinematics.joint_count()];
+        let mut command = command(&model, 0);
         for (q, field) in [(1.0, "length"), (0.5, "length"), (f64::NAN, "command"), (bad, "command")] {
             command[0] = q;
             names(chain.settle(&command, &[], Deflection::Equilibrium), field, "settle");
