@@ -343,7 +343,7 @@ fn write_csv(folder: &Folder, table: &TableReader) -> Result<(), CliError> {
 pub(super) fn help(error: &FolderError) -> &'static str {
     match error {
         FolderError::AnotherCampaign { .. } => {
-            "expected another folder (--out), or the same program, scenario file and options (--plant, --seed, --trials, \
+            "expected another folder (--out), or the same program, scenario file and options (--plant, --seed, --trials, --shard, \
              --shards) as in its manifest.json; the folder was not changed"
         }
         FolderError::NoCampaign { .. } => {

@@ -125,7 +125,7 @@ fn check_free(
             folder: folder.to_path_buf(),
             at: at.clone(),
             what: "a folder",
-            expected: "the name of a folder; a file has this name",
+            expected: "the name of a folder; in this one, a folder has the name of a file to be written",
         });
     }
     if paths.is_empty() || force { Ok(stale) } else { Err(CliError::AlreadyThere { paths }) }

@@ -218,7 +218,11 @@ fn write(made: &Converted, output: &OutputArgs) -> Result<PathBuf, CliError> {
         return in_the_way(at, "no folder", "a folder, or the name of a new one");
     }
     if path.is_dir() {
-        return in_the_way(&path, "a folder", "the name of a folder; a file has this name");
+        return in_the_way(
+            &path,
+            "a folder",
+            "the name of a folder; in this one, a folder has the name of a file to be written",
+        );
     }
     if path.exists() && !output.force {
         return Err(CliError::AlreadyThere { paths: vec![path] });

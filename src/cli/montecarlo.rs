@@ -146,11 +146,12 @@ pub(super) fn refused(error: &CampaignError, scenario: &Scenario) -> CliError {
             "expected [as_built.drawn] such that nine of ten drawn machines are possible: reduce linkage_mm, \
              linkage_angles_mrad, crank_axis_mm or crank_tilts_mrad"
         }
-        CampaignError::TooManyRefused { .. } => {
-            "expected [[campaign.factor]] with values that are possible in nine of ten trials; impossible ones are drawn again"
-        }
         CampaignError::Trial { source: CaseError::Refused { .. }, .. } => {
             "expected [[campaign.factor]] with values that are all possible: this design cannot draw them again"
+        }
+        CampaignError::Trial { source: CaseError::Impossible { .. }, .. }
+        | CampaignError::TooManyRefused { .. } => {
+            "expected [[campaign.factor]] with values that are possible in nine of ten trials; impossible ones are drawn again"
         }
         CampaignError::Trial { .. } => "expected a trial number below the number of trials of the [campaign]",
     };

@@ -93,7 +93,11 @@ impl Destination<'_> {
         if let Self::Asked(folder) = self {
             let taken = files.names().iter().map(|name| folder.join(name)).find(|path| path.is_dir());
             if let Some(at) = taken {
-                return refused(&at, "a folder", "the name of a folder; a file has this name");
+                return refused(
+                    &at,
+                    "a folder",
+                    "the name of a folder; in this one, a folder has the name of a file to be written",
+                );
             }
         }
         Ok(())
@@ -218,7 +222,7 @@ impl Staged<'_> {
         }
         let mut text = format!("{name}: {cause}");
         if self.folder.join(name).exists() {
-            text += "(the file of that name there is an older one)";
+            text += " (the file of that name there is an older one)";
         }
         self.failures.push(text);
     }

@@ -518,7 +518,7 @@ fn remarks(
         );
     }
     if cell.around.obstacles.floor().is_none() {
-        remarks.push("no floor is stated: poses may be below it (--floor-mm)".to_owned());
+        remarks.push("no floor is stated: poses may be below it; state it in the scenario, or by --floor-mm for a robot without one".to_owned());
     }
     if let Readings::Scenario(scenario) = &cell.readings
         && !scenario.plan.payloads.payloads.is_empty()

@@ -162,7 +162,7 @@ pub(super) fn table(outcome: &Outcome, index: usize, set: &SetOutcome, style: St
     }
     if let Some(repeats) = set.measurements.repeats() {
         let words = format!(
-            "repeats of {} scatter by {} mm (RMS 3D of a reading about the mean of its pose, {} more): no model can leave less",
+            "repeats of {} scatter by {} mm (RMS 3D of a reading about the mean of its pose, {} more): no model can leave less on these readings",
             counted(repeats.poses, "pose"),
             millimetres(repeats.rms_3d),
             counted(repeats.repeats, "reading")

@@ -403,6 +403,7 @@ pub(super) fn closed_loop_section(outcome: &Outcome) -> Result<Markup, ReportErr
                 (path_table(path))
                 (figure(&modes, &drawn, &html! {
                     "Distance of the measured tool from the path over the panel, along its way."
+                    (thinned_words(path.modes.first().map_or(0, |mode| mode.points.len()), MOST))
                 }, true))
             }
         }

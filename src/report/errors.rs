@@ -39,12 +39,14 @@ pub(super) fn errors_section(outcome: &Outcome) -> Result<Markup, ReportError> {
             (figure(&titles(&all), &before_and_after, &html! {
                 "Measured minus predicted position of every reading, along each axis, before and after calibration."
                 (thinned_words(most, MARKS))
+                @if most > MARKS { " All are in residuals.csv." }
             }, false))
             @if let Some(zoomed) = zoomed {
                 (figure(&titles(&after), &zoomed, &html! {
                     "The same after calibration only, on a scale of its own. A pattern over the poses is something that the "
                     "model lacks; measurement noise alone would look like noise."
                     (thinned_words(most, MARKS))
+                    @if most > MARKS { " All are in residuals.csv." }
                 }, false))
             }
             (figure(&titles(&all), &distribution, &html! {

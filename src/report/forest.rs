@@ -2,7 +2,7 @@
 
 use super::files::ReportError;
 use super::parameters::{ParameterCell, ParameterRow};
-use super::plots::look;
+use super::plots::{drawable, look};
 use super::rows::{Dot, Panel, dots};
 use super::words::printed_unit;
 use calibrig_estimation::identification::Mode;
@@ -25,6 +25,8 @@ pub(super) fn parameters(
     let slots = || modes.iter().copied().enumerate();
     let dot = |mode: Mode, cell: &ParameterCell, value: f64| {
         let interval = cell.half_width().map(|half| (factor * (value - half), factor * (value + half)));
+        // A parameter whose interval cannot be drawn still has its mark.
+        let interval = interval.filter(|(low, high)| drawable(*low) && drawable(*high));
         Dot { interval, ..Dot::at(look(mode), factor * value) }
     };
     let estimated = |row: &ParameterRow| -> Vec<Dot> {

@@ -404,6 +404,7 @@ pub(super) fn sampled(count: usize, most: usize) -> impl Iterator<Item = usize> 
 /// What is drawn of many points, in the order of x: in every class of equal width along x the lowest, the middle and the highest. The largest errors
 /// are always among them.
 pub(super) fn thinned(mut points: Vec<(f64, f64)>, most: usize) -> Vec<(f64, f64)> {
+    points.retain(|point| drawable(point.0) && drawable(point.1));
     if points.len() <= most {
         return points;
     }
@@ -431,7 +432,7 @@ pub(super) fn thinned_words(count: usize, most: usize) -> String {
     }
     format!(
         " Of {count} points at most {most} are drawn in each colour and panel: in each of {} classes of equal width the lowest, the middle and the highest, so that the \
-         worst are always shown. All are in residuals.csv.",
+         worst are always shown.",
         most / 3
     )
 }

@@ -113,7 +113,7 @@ fn heading(prospect: &SensorProspect) -> [&'static str; 2] {
 fn explanation(study: &SensorStudy) -> String {
     format!(
         "What one point, three points or a full pose would tell at the same poses and with the same noise, for \u{201c}{}\u{201d} (linearised at its estimate). \
-         Targets that were not there are assumed 120 mm from the first and read as well as it. Place and angle are the RMS standard deviation (68 %) of the \
+         Targets that were not there are assumed 120 mm from the first and read as well as it. Place and angle are the RMS uncertainty of the \
          predicted robot at the poses of the {} set, without what the machine does beside its model.",
         study.mode.title(),
         study.predicted.key()

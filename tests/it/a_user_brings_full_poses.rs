@@ -149,7 +149,7 @@ fn what_is_no_pose_is_refused_at_its_row() {
         ),
         (
             ["0.9", "0.1", "0", "0"],
-            "the quaternion has length 0.905539, off 1 by 9.4e-2",
+            "the quaternion has length 0.905539, which differs from 1 by 9.4e-2",
             "a quaternion of length 1",
         ),
         (["", "", "", ""], "the rotation is empty (Q0, Q1, Q2, Q3)", "a rotation in every row"),

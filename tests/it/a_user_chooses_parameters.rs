@@ -42,7 +42,7 @@ fn they_are_listed_and_what_is_listed_is_fitted() {
     let text = identify(&sandbox, &["--list-parameters", "--fix", "delta_a2"]).stdout;
     for line in [
         "only calibration (only_calibration): ",
-        "delta_a2      left out: fixed by its name",
+        "delta_a2      left out: fixed by name",
         "not chosen: fit it with --free",
     ] {
         assert!(text.contains(line), "{line}: {text}");

@@ -527,7 +527,7 @@ fn what_is_not_to_be_trusted_is_marked_and_the_rest_is_kept() {
     let rail = limits.iter().find(|limit| limit["joint"] == "rail").expect("the rail");
     assert!(rail["end"] == "high" && rail["limit"] == 4.0 && rail["beyond"].as_f64() > Some(0.1), "{rail}");
     assert!(
-        ended.stderr.contains("it could be met with rail")
+        ended.stderr.contains("it could be reached with rail")
             && ended.stderr.contains("beyond its upper limit of 4000.000 mm"),
         "{}",
         ended.stderr
@@ -632,8 +632,8 @@ fn what_cannot_be_corrected_is_refused_before_anything_is_written() {
     refused(
         &ask("twice.csv", &["--speed-mm-per-s", "100"]),
         "twice.csv:3",
-        "point 2 of the path is at the same place as point 1",
-        "once",
+        "point 2 of the path is at the same place as point 1: leave one of them out",
+        "consecutive places that differ",
     );
     table("short.csv", &|lines| lines[3] = "P2,1,2".to_owned());
     refused(&ask("short.csv", &[]), "short.csv:4", "the row has 3 of 7 columns", "7 values");

@@ -438,7 +438,7 @@ fn files_that_cannot_become_a_recording_are_refused() {
         &to("none/new.mcap"),
         "cannot write to the folder none",
         "no folder",
-        "a folder",
+        "an existing folder",
     );
     assert_refused(
         &sandbox,

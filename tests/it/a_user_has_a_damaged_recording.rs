@@ -29,7 +29,13 @@ fn one_bit_is_flipped() {
         let at = bytes.len() * part / 20;
         damaged[at] ^= 1 << (part % 8);
         sandbox.write("r.mcap", damaged);
-        assert_refused(&sandbox, &REPLAY, "r.mcap: ", "the recording is damaged: ", "checksums that fit");
+        assert_refused(
+            &sandbox,
+            &REPLAY,
+            "r.mcap: ",
+            "the recording is damaged: ",
+            "checksums and lengths that fit",
+        );
     }
 }
 
@@ -192,7 +198,12 @@ fn the_target_cannot_be_written() {
     refused("./models/../r.mcap", "./models/../r.mcap ", "is the damaged file itself", "another name");
     refused("models", "models ", "is a folder", "the name of a file");
     refused("none/good.mcap", "cannot write none/good.mcap: ", "No such file", "an existing folder");
-    refused("there.mcap/good.mcap", "cannot write there.mcap/good.mcap: ", "Not a directory", "a folder");
+    refused(
+        "there.mcap/good.mcap",
+        "cannot write there.mcap/good.mcap: ",
+        "Not a directory",
+        "an existing folder",
+    );
     // Read-only for everyone.
     #[cfg(target_os = "linux")]
     refused("/proc/good.mcap", "cannot write /proc/good.mcap: ", "", "permission to write");

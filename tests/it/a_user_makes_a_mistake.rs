@@ -314,7 +314,7 @@ fn a_user_describes_a_structure_that_cannot_be() {
                 "[target]",
                 "[[load]]\nname = \"hose\"\njoint = \"hand\"\nx_mm = 0\ny_mm = 0\nz_mm = 0\nmass_kg = 1\n[target]",
                 Below(2),
-                "load \"hose\": no joint \"hand\"",
+                "load \"hose\": no joint is named \"hand\"",
                 "one of rail, waist",
             ),
         ],
@@ -394,7 +394,7 @@ fn a_user_gives_a_key_or_a_joint_twice() {
             "name = \"rail left\"",
             Same,
             "a second nest \"rail left\"",
-            "its own",
+            "a different name for each nest",
         ),
     ]);
 }
@@ -553,7 +553,7 @@ fn a_user_asks_for_poses_that_the_robot_does_not_reach() {
     let first = scenario.lines().position(|line| line == "[[poses.region]]").expect("a region") + 1;
     let message = "[[poses.region]] for joint \"wrist\" is missing";
     let place = format!("{SCENARIO}:{first}: ");
-    assert_refused(&sandbox, &["run", SCENARIO], &place, message, "one entry per joint");
+    assert_refused(&sandbox, &["run", SCENARIO], &place, message, "one entry per commanded joint");
 }
 
 #[test]
@@ -657,13 +657,13 @@ fn a_user_names_a_file_that_is_absent_or_a_folder() {
     sandbox.write("empty.toml", "");
     sandbox.write("binary.toml", [0xff, 0xfe, 0x00]);
     for (file, place, message, expected) in [
-        ("nowhere.toml", "cannot read nowhere.toml: ", "No such file", "a file"),
-        ("models", "cannot read models: ", "it is a folder", "a file"),
+        ("nowhere.toml", "cannot read nowhere.toml: ", "No such file", "a text file in UTF-8"),
+        ("models", "cannot read models: ", "it is a folder", "a text file in UTF-8"),
         (
             "scenarios/paper.toml/x.toml",
             "cannot read scenarios/paper.toml/x.toml: ",
             "Not a directory",
-            "a file",
+            "a text file in UTF-8",
         ),
         ("binary.toml", "cannot read binary.toml: ", "not UTF-8 text (byte 0)", "UTF-8"),
         ("empty.toml", "empty.toml:1: ", "missing key `schema`", "`schema`"),
@@ -825,7 +825,7 @@ fn a_user_has_a_urdf_that_does_not_match() {
                 "<mass value=\"1\"/>\n<mass value=\"2\"/>",
                 Below(1),
                 "a second <mass>",
-                "one of them",
+                "only one",
             ),
             (
                 mass,
@@ -883,8 +883,13 @@ fn a_user_has_a_mistake_in_a_measurement_file() {
     // The changes below count on it.
     assert_eq!((column("q2_rad"), column("pose")), (4, 0));
     let cases: &[(Change, usize, &str, &str)] = &[
-        (|rows| drop(rows[3].pop()), 4, "is missing", "values, as the header has names"),
-        (|rows| rows[3].push("7".to_owned()), 4, "columns, the header", "values, as the header has names"),
+        (|rows| drop(rows[3].pop()), 4, "is missing", "32 values, as the header has"),
+        (
+            |rows| rows[3].push("7".to_owned()),
+            4,
+            "the row has 33 columns, the header 32",
+            "32 values, as the header has",
+        ),
         (|rows| rows[3][4] = "abc".to_owned(), 4, "column q2_rad is \"abc\"", "a number"),
         (|rows| rows[3][4] = "NaN".to_owned(), 4, "column q2_rad is \"NaN\"", "a finite number"),
         (|rows| rows[3][4] = "inf".to_owned(), 4, "column q2_rad is \"inf\"", "a finite number"),
@@ -1041,7 +1046,7 @@ fn a_user_has_a_mistake_in_a_column_map() {
         "--columns",
         "map.toml",
     ];
-    assert_refused(&sandbox, &arguments, "cannot read map.toml: ", "No such file", "a file");
+    assert_refused(&sandbox, &arguments, "cannot read map.toml: ", "No such file", "a text file in UTF-8");
     // The map names a column that the file does not have.
     sandbox.write("set.csv", format!("{}\n{rows}", header.replace("x_dif", "dx")));
     assert_refused(
@@ -1102,7 +1107,12 @@ fn a_user_gives_an_effect_that_no_machine_has() {
             "sigma_um is nan",
             "a finite number",
         ),
-        ("[effects.rail]\njoint = \"waist\"\nwavelength_mm = 800", 2, "no rail", "the first joint"),
+        (
+            "[effects.rail]\njoint = \"waist\"\nwavelength_mm = 800",
+            2,
+            "effects.rail.joint \"waist\" is not a rail",
+            "the first joint",
+        ),
         ("[effects.rail]\njoint = \"rail\"\nwavelength_mm = -800", 3, "wavelength_mm is -800", "above zero"),
         (hot.as_str(), 3, "effects.thermal.start_c is 210", "-20 to 60 degrees"),
         // In the course of the session.

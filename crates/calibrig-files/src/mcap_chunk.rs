@@ -42,18 +42,6 @@ pub fn open(body: &[u8], limit: usize) -> Result<Opened<'_>, McapError> {
     Ok(Opened { data, protected: saved != 0 })
 }
 
-/// Number of messages in a chunk record, if it has no checksum; 0 if it has one, which is not checked.
-///
-/// # Errors
-/// As [`open`].
-pub fn unprotected_messages(body: &[u8], limit: usize) -> Result<u64, McapError> {
-    let (header, _) = parse(body)?;
-    match header.compression.as_str() {
-        "" | "zstd" | "lz4" if header.uncompressed_crc != 0 => Ok(0),
-        _ => Ok(open(body, limit)?.records().filter(|(opcode, _)| *opcode == op::MESSAGE).count() as u64),
-    }
-}
-
 /// Header and content of a chunk record.
 fn parse(body: &[u8]) -> Result<(ChunkHeader, Cow<'_, [u8]>), McapError> {
     match mcap::parse_record(op::CHUNK, body)? {

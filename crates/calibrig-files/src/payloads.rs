@@ -219,7 +219,7 @@ mod tests {
             (
                 format!("mass_kg = 25\n{centre}[[payload]]\nname = \"a\"\nmass_kg = 1\n{centre}"),
                 "a second payload",
-                "its own",
+                "a different name",
             ),
         ] {
             let error = read(&format!("[[payload]]\nname = \"a\"\n{rest}")).expect_err(message);

@@ -304,7 +304,7 @@ mod tests {
         let wxyz = RotationForm::Quaternion(QuaternionOrder::ScalarFirst);
         assert_eq!(wxyz.rotation(&[0.0; 4]), Err(RotationError::ZeroQuaternion));
         let long = wxyz.rotation(&[1.0, 0.1, 0.0, 0.0]).expect_err("too long").to_string();
-        assert_eq!(long, "the quaternion has length 1.004988, off 1 by 5.0e-3");
+        assert_eq!(long, "the quaternion has length 1.004988, which differs from 1 by 5.0e-3");
         let rows = RotationForm::Matrix(MatrixOrder::ByRows);
         let mirrored = rows.rotation(&[1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0]).expect_err("mirrored");
         assert_eq!(mirrored.to_string(), "the matrix is left-handed: its determinant is -1.0000");

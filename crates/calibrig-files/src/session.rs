@@ -561,11 +561,6 @@ impl SessionFile {
         !self.targets.is_empty()
     }
 
-    /// Whether it describes stations; then it describes all.
-    pub fn describes_stations(&self) -> bool {
-        !self.stations.is_empty()
-    }
-
     /// Refuses what an identification cannot use, in the text `source`: nests that do not place their station, and an uncertainty of a target
     /// that is not positive definite.
     ///
@@ -636,7 +631,7 @@ fn on_one_line(station: &Station, error: &RegistrationError) -> String {
         None => 0.0,
     };
     let off = nests.iter().map(off).fold(0.0, f64::max);
-    format!(": {} lie on it within {:.3} mm", names.join(", "), 1e3 * off)
+    format!(" ({} lie on it within {:.3} mm)", names.join(", "), 1e3 * off)
 }
 
 /// Those of one set; `None` if the file describes none at all.

@@ -202,7 +202,7 @@ fn controllers_and_their_external_axes() {
             "revolute_unit = \"deg\"",
             "$AXIS_ACT.E1: not part of the arm,",
             "$AXIS_ACT.E1 goes to 4250",
-            "no measurement",
+            "which is not a measurement",
         ],
         stroke: |k| 1850.0 + 100.0 * k as f64,
         ..PLAIN
@@ -785,7 +785,7 @@ fn axes_with_letters_are_joints_and_what_falls_is_no_time() {
     check(&Case {
         files: &[("t.csv", falls)],
         kinds: &[Revolute; 3],
-        says: &["# T: it falls from row to row, so it is no time"],
+        says: &["# T: it falls from row to row, so it is not a time"],
         ..PLAIN
     });
 }

@@ -224,7 +224,7 @@ pub enum RecordingError {
     /// Some measurements are missing.
     #[error("the recording holds {found} observations of the {set} set")]
     #[diagnostic(help(
-        "expected {expected}, as its session states: take the original file, or `calibrig recover FILE NEW` to use what is left"
+        "expected {expected}, as its session states: take the original file, or write it again with the program that made it"
     ))]
     MissingMeasurements {
         /// Key of the set.

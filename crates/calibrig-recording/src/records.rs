@@ -54,6 +54,10 @@ pub(super) fn read_records(
         return Err(RecordingError::Truncated.into());
     };
     let walked = walk(file, &Directory::default(), Trust::All, &mut |_, record| visit(record))?;
+    // A record that does not frame the next one would hide all behind it.
+    if walked.end != End::Data {
+        return Err(RecordingError::Truncated.into());
+    }
     let Walked { messages, attachments, .. } = walked;
     Ok(Unprotected { messages, attachments, data_is_covered, summary_is_covered })
 }

@@ -102,7 +102,7 @@ fn sentences(made: &Compensation) -> Vec<String> {
         let worst = made.points.iter().enumerate().filter_map(|(at, point)| Some((at, point.sigma()?)));
         let at = worst.max_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(at, _)| at);
         lines.push(format!(
-            "standard deviation (68 %, in space) of the robot's mean position there: {} RMS, {} at worst, at point {}",
+            "RMS length of the 3-D error expected of the robot's mean position there: {} RMS, {} at worst, at point {}",
             length_words(sigmas.rms),
             length_words(sigmas.max),
             at + 1

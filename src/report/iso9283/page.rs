@@ -110,7 +110,7 @@ fn target_section(outcome: &Iso9283Outcome, target: &Iso9283Target) -> Result<Ma
                 } }
                 p.note {
                     "AP in mm: attained minus predicted position. \u{201c}Known within\u{201d}: the 95 % radius about the barycentre for endlessly many cycles. Errors that all cycles share, such as the tracker's place, are not in it. "
-                    "\u{201c}Expected\u{201d} holds them: the standard deviation (68 %) of the 3-D error that the robot's estimate states there. "
+                    "\u{201c}Expected\u{201d} holds them: the RMS length of the 3-D error that the robot's estimate states there. "
                     "The nominal robot states no error of its own; by nests only the tracker's place and the target's offset are counted."
                 }
                 ul { @for row in &target.rows { li { (row.title) ": " (row.registration) } } }

@@ -76,7 +76,7 @@ pub(super) fn judgement_lines(outcome: &Outcome, mode: Mode, style: Style) -> Ve
         if let Some([median, _, most]) = quantiles(&confidence.map) {
             let (usual, worst) = (length_words(median), length_words(most));
             words = format!(
-                "{words}; standard deviation (68 %) of a predicted position: median {usual} over the region, largest {worst}"
+                "{words}; RMS uncertainty of a predicted position (3-D): median {usual} over the region, largest {worst}"
             );
         }
         say(Ink::Dim, &words, "    ");
@@ -162,7 +162,13 @@ fn verdict(judgement: &Judgement) -> Markup {
         } @else if consistency.shape.is_none() {
             p { "Not tested: there are as many parameters as measured coordinates. Measure more poses." }
         } @else if consistency.is_consistent() {
-            p { "The residuals are as large as stated, and show no pattern that chance does not make." }
+            p {
+                @if consistency.size.is_some() {
+                    "The residuals are as large as stated, and show no pattern beyond chance."
+                } @else {
+                    "The residuals show no pattern beyond chance. The readings state no noise to compare their size with."
+                }
+            }
         } @else if found.is_empty() && consistency.too_small() {
             p {
                 strong { "The noise is smaller than stated. " }
@@ -196,7 +202,7 @@ pub(super) fn sure_section(outcome: &Outcome) -> Result<Markup, ReportError> {
         section #sure {
             h2 { "How sure" }
             p {
-                "How uncertain the predicted position of the target is: one standard deviation (68 %) of its 3-D error. It holds what the measurements leave open of the parameters, and what the machine does beside the model, as errors of single poses. It does not hold the noise of a reading."
+                "How uncertain the predicted position of the target is: the RMS length of its 3-D error. It holds what the measurements leave open of the parameters, and what the machine does beside the model, as errors of single poses. It does not hold the noise of a reading."
             }
             (overview(&sure))
             @if let Some(map) = &map {
@@ -204,7 +210,7 @@ pub(super) fn sure_section(outcome: &Outcome) -> Result<Markup, ReportError> {
                     div.scroll { (PreEscaped(map)) }
                     figcaption {
                         "Uncertainty of the position predicted by \u{201c}" (largest.mode.title()) "\u{201d} in three views of the base frame, over the joint ranges of the measured poses. "
-                        "The wider a square, the larger the standard deviation (68 %) of the 3-D position in its cell; the widest is " (length_words(most)) "."
+                        "The wider a square, the larger the RMS length of the 3-D error in its cell; the widest is " (length_words(most)) "."
                         @if confidence.out_of_reach > 0 { " The robot cannot reach " (counted(confidence.out_of_reach, "pose")) " of these ranges." }
                     }
                 }

@@ -137,7 +137,7 @@ fn every_mistake_is_named() {
         ("[as_built.base]\ntilt_x_mrad = nan".to_owned(), "tilt_x_mrad is nan", "finite"),
         ("[as_built.base]\ntilt_x = 1".to_owned(), "unknown key `tilt_x`", "`tilt_x_mrad`"),
         ("[as_built.target]\ndelta_x_mm = inf".to_owned(), "delta_x_mm is inf", "finite"),
-        (load("joint = \"hand\"\nmass_kg = 1"), "no joint \"hand\"", "telescope"),
+        (load("joint = \"hand\"\nmass_kg = 1"), "no joint is named \"hand\"", "telescope"),
         (load("joint = \"wrist\""), "neither mass nor force", "mass_kg"),
         ("[as_built.drawn]\nlengths_mm = 1".to_owned(), "missing key `distribution`", "distribution"),
         ("[as_built.drawn]\ndistribution = \"flat\"".to_owned(), "distribution is \"flat\"", "`uniform`"),

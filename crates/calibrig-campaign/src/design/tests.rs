@@ -194,9 +194,12 @@ fn impossible_designs_are_refused_and_have_no_points() {
     refused(sweep(&[2], 0), "the number of repeats is 0; there must be at least one");
     refused(sweep(&[], 3), "the sweep is over 0 factors; it can be over one or two");
     refused(sweep(&[2, 2, 2], 3), "the sweep is over 3 factors; it can be over one or two");
-    refused(sweep(&[usize::MAX, usize::MAX], 3), "the study has more trials than can be counted");
+    refused(
+        sweep(&[usize::MAX, usize::MAX], 3),
+        "the study has more trials than can be counted; use fewer draws or fewer factors",
+    );
     let indices = |base, factors, draws| Design::Indices { base, factors, draws, sampling: Sampling::Sobol };
-    refused(indices(0, 2, true), "the number of rows of the base is 0; there must be at least one");
+    refused(indices(0, 2, true), "the number of rows of the base design is 0; there must be at least one");
     refused(indices(9, 0, true), "the number of factors is 0; there must be at least one");
     refused(indices(9, 129, true), "129 factors vary; this design takes at most 128");
     refused(indices(1 << 32, 2, true), "the study has 8589934592 draws; at most 4294967296 are possible");

@@ -118,7 +118,7 @@ mod tests {
             refused(1.0, 1.0, 4),
             "a histogram from 1 to 1 has no width; both must be finite numbers and the first must be smaller"
         );
-        assert_eq!(refused(0.0, 1.0, 0), "a histogram has 0 bins; 1 to 1048576 are possible");
+        assert_eq!(refused(0.0, 1.0, 0), "a histogram has 0 bins; it needs 1 to 1048576");
         assert!(Histogram::new(f64::NAN, 1.0, 4).is_err() && Histogram::new(f64::MIN, f64::MAX, 4).is_err());
     }
 

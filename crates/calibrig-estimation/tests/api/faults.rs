@@ -396,7 +396,7 @@ const OPTION_FAULTS: [ModelFault; 23] = [
             observation.reading =
                 Reading::Cartesian { position: observation.reading.position(), covariance: zero };
         }
-        Some("pose 1: its covariance")
+        Some("pose 1: the covariance")
     },
     |case| {
         case.model.statics = None;

@@ -363,7 +363,7 @@ fn errors_of_actuators_explain_places_and_orientations_together() {
         set.observations.push(observation(pose, &command, 0, reading));
     }
     let estimate = identify(&model, &set, &free()).expect("an estimate");
-    let found = estimate.found_machine().expect("too many: at most was stated");
+    let found = estimate.found_machine().expect("more than was stated");
     let mean = found.actuators.iter().map(|sigma| sigma * sigma).sum::<f64>() / joints as f64;
     // 120 errors of each of six actuators: 3 % of their common standard deviation.
     within(mean.sqrt(), 1e-4, 0.1);

@@ -231,7 +231,7 @@ fn paths_that_cannot_be_are_refused_by_point() {
     let axis = Goal::Axis { position: Vector3::x(), direction: Vector3::z() };
     assert!(
         told(&[at(0.0), axis], 1.0)
-            .starts_with("point 2 of the path has 5 coordinates that count: expected 3")
+            .starts_with("point 2 of the path has 5 constrained coordinates: expected 3")
     );
     let timed = |times: [f64; 2]| {
         let points = times.iter().zip([0.0, 1.0]).map(|(time, x)| PathPoint { goal: at(x), time: *time });

@@ -106,7 +106,7 @@ fn what_cannot_be_asked_is_refused_by_name() {
     refused(
         Goal::Axis { position: here, direction: Vector3::zeros() },
         plain(),
-        "direction of the goal is of length 0",
+        "direction of the goal has length 0",
     );
     refused(Goal::Position(here), InverseOptions { tolerance: 0.0, ..plain() }, "tolerance is 0");
     refused(Goal::Position(here), InverseOptions { lever: Some(-1.0), ..plain() }, "lever is -1");

@@ -56,7 +56,7 @@ fn what_the_urdf_says_is_taken_over_and_what_not_is_marked() {
     assert_eq!(links.iter().map(|link| link.name.as_str()).collect::<Vec<_>>(), ["swing", "twist"]);
     assert!((links[0].limits[0] + 1.0).abs() < 1e-14 && (links[0].limits[1] - 1.5).abs() < 1e-14);
     assert!(made.difference.is_some_and(|difference| difference <= AGREEMENT));
-    assert!(text.contains("passed over: 2 <gazebo>, 1 <transmission>"), "{text}");
+    assert!(text.contains("ignored: 2 <gazebo>, 1 <transmission>"), "{text}");
     assert!(text.contains("min_deg = -360 # assumed"), "{text}");
     let statics = robot.model.statics.as_ref().expect("masses of both links");
     assert_eq!(statics.bodies.iter().map(|body| body.mass).collect::<Vec<_>>(), [7.0, 2.0]);
@@ -225,13 +225,19 @@ fn mistakes_are_named_with_their_line_and_what_was_expected() {
         ("rpy=\"0.3 0 0\"", "rpy=\"0.3 nan 0\"", "rpy of <origin>", 9, "3 finite numbers"),
         ("<mass value=\"7\"/>", "<mass value=\"-7\"/>", "the mass of link arm is -7 kg", 4, "zero or more"),
         ("<child link=\"arm\"/>", "<child link=\"leg\"/>", "names a link leg that does not exist", 8, "link"),
-        ("<link name=\"hand\">", "<link name=\"arm\">", "a second link named arm", 5, "one link"),
+        (
+            "<link name=\"hand\">",
+            "<link name=\"arm\">",
+            "a second link named arm",
+            5,
+            "a different name for each link",
+        ),
         (
             "<child link=\"tool\"/>",
             "<child link=\"arm\"/>",
             "which is already the child of joint swing",
             18,
-            "one parent joint per link: a URDF cannot hold",
+            "one parent joint per link: a URDF cannot hold loops",
         ),
         ("<child link=\"arm\"/>", "<child link=\"arm\"/", "not valid XML:", 8, "URDF"),
         (
@@ -239,14 +245,14 @@ fn mistakes_are_named_with_their_line_and_what_was_expected() {
             "<axis xyz=\"1 0 0\"/><axis xyz=\"0 0 1\"/>",
             "joint twist has more than one <axis>",
             16,
-            "one",
+            "only one",
         ),
         (
             "<mass value=\"2\"/>",
             "<mass value=\"2\"/><mass value=\"3\"/>",
             "of link hand has more than one <mass>",
             5,
-            "one",
+            "only one",
         ),
         (
             "joint name=\"twist\"",

@@ -1,25 +1,16 @@
 //! Which columns of a measurement file mean what, and in which unit.
-//!
-//! Without a map, calibrig's own columns are read (SI, unit in the name): `q1_rad` or `q1_m` and so on; either `range_m`, `az_rad`, `el_rad` or
-//! `x_m`, `y_m`, `z_m`; and, if the file has them, `pose`, `station`, `target`, `time_s`, `temperature_c`, `approach1` and so on,
-//! `since_reversal1_rad` (or `_m`) and so on, what the flange carries (`payload`, a name, with `payload_mass_kg`, `payload_x_m`, `payload_y_m`,
-//! `payload_z_m`, and `payload_force_x_n`, `payload_force_y_n`, `payload_force_z_n`; empty where nothing), and the uncertainty: `sigma_range_m`,
-//! `sigma_az_rad`, `sigma_el_rad` (`sigma_x_m`, `sigma_y_m`, `sigma_z_m`), or the covariance's upper triangle `cov_range_range_m2`,
-//! `cov_range_az_m_rad`, `cov_range_el_m_rad`, `cov_az_az_rad2`, `cov_az_el_rad2`, `cov_el_el_rad2` (`cov_xx_m2`, `cov_xy_m2`, `cov_xz_m2`,
-//! `cov_yy_m2`, `cov_yz_m2`, `cov_zz_m2`). A full pose has, in addition to `x_m`, `y_m`, `z_m` its rotation `tracker_from_target` by rows, `r11` to
-//! `r33`, `sigma_rx_rad`, `sigma_ry_rad`, `sigma_rz_rad` with the sigmas of the place, or the 21 elements of both, `cov_x_rx_m_rad` and `cov_rx_rx_rad2`
-//! among them. A spherical reading may have its `face`, `front` or `back`.
 
-use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use super::layout::{TableFormat, Wanted};
+use super::own_columns as own;
+use super::pose_list::PoseList;
 use super::table::bag::BagOptions;
 use super::text::TextFormat;
 use super::units::{AirQuantity, AngleUnit, LengthUnit, TemperatureUnit, TimeUnit};
 use crate::input::{InputError, Source};
-use crate::rotation::{MatrixOrder, RotationForm};
-use calibrig_model::measurement::{Face, SphericalReading};
+use crate::rotation::RotationForm;
+use calibrig_model::measurement::SphericalReading;
 use calibrig_model::{JointKind, Payload};
 use nalgebra::{Matrix3, Vector3};
 
@@ -286,99 +277,6 @@ pub(super) struct Sets {
     pub poses: PoseList,
 }
 
-/// A list of poses: numbers, runs of numbers such as `41..60`, and names.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct PoseList {
-    runs: Vec<[u32; 2]>,
-    names: Vec<String>,
-}
-
-impl PoseList {
-    /// Adds `7`, `41..60`, `41-60` or a name.
-    ///
-    /// # Errors
-    /// A run that ends before it begins, or an empty text; what was expected.
-    pub fn add(&mut self, text: &str) -> Result<(), &'static str> {
-        let text = text.trim();
-        if text.is_empty() {
-            return Err("the number of a pose, a range such as 41..60, or a name");
-        }
-        if let Ok(number) = text.parse() {
-            self.runs.push([number, number]);
-            return Ok(());
-        }
-        let run = text.split_once("..").or(text.split_once('-'));
-        match run.map(|(first, last)| (first.trim().parse(), last.trim().parse())) {
-            Some((Ok(first), Ok(last))) if first <= last => self.runs.push([first, last]),
-            Some((Ok(_), Ok(_))) => return Err("a range from the smaller number to the larger one"),
-            _ => self.names.push(text.to_owned()),
-        }
-        Ok(())
-    }
-
-    /// Reads a list with commas: `41..60,75`.
-    ///
-    /// # Errors
-    /// As [`PoseList::add`].
-    pub fn parse(text: &str) -> Result<Self, &'static str> {
-        let mut list = Self::default();
-        text.split(',').try_for_each(|part| list.add(part))?;
-        Ok(list)
-    }
-
-    /// Whether it lists nothing.
-    pub fn is_empty(&self) -> bool {
-        self.runs.is_empty() && self.names.is_empty()
-    }
-
-    /// Whether it lists the pose of this number and, where poses have names, of this name.
-    pub fn has(&self, number: u32, name: Option<&str>) -> bool {
-        match name {
-            Some(name) => self.names.iter().any(|known| known == name) || self.has_number_in(name),
-            None => self.runs.iter().any(|[first, last]| (*first..=*last).contains(&number)),
-        }
-    }
-
-    /// Listed entries that these poses lack: ranges of numbers, and names. If poses have `names`, those count, not their numbers.
-    pub(super) fn absent(&self, numbers: impl Iterator<Item = u32>, names: &[String]) -> Vec<String> {
-        let there: BTreeSet<u32> = if names.is_empty() {
-            numbers.collect()
-        } else {
-            names.iter().filter_map(|name| name.parse().ok()).collect()
-        };
-        let gap = |first: u32, last: u32| {
-            if first == last { first.to_string() } else { format!("{first}..{last}") }
-        };
-        let mut absent = Vec::new();
-        for [first, last] in &self.runs {
-            let mut next = Some(*first);
-            for found in there.range(first..=last) {
-                if let Some(from) = next.filter(|from| from < found) {
-                    absent.push(gap(from, found - 1));
-                }
-                next = found.checked_add(1);
-            }
-            absent.extend(next.filter(|from| from <= last).map(|from| gap(from, *last)));
-        }
-        absent.extend(self.names.iter().filter(|name| !names.contains(name)).cloned());
-        absent
-    }
-
-    /// Adds the entries of another list.
-    pub(super) fn extend(&mut self, other: &Self) {
-        self.runs
-            .extend(other.runs.iter().filter(|run| !self.runs.contains(run)).copied().collect::<Vec<_>>());
-        self.names.extend(
-            other.names.iter().filter(|name| !self.names.contains(name)).cloned().collect::<Vec<_>>(),
-        );
-    }
-
-    /// A name that is a number in the list, as `P7` is not.
-    fn has_number_in(&self, name: &str) -> bool {
-        name.parse().is_ok_and(|number| self.has(number, None))
-    }
-}
-
 /// How rows of the joints' file and of the points' files belong together.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Join {
@@ -420,83 +318,6 @@ impl Entry {
             ColumnRef::Number(number) => number.checked_sub(1),
             ColumnRef::Name(_) => None,
         })
-    }
-}
-
-/// calibrig's own columns.
-pub(super) mod own {
-    use super::JointKind;
-
-    pub const POSE: &str = "pose";
-    pub const STATION: &str = "station";
-    pub const TARGET: &str = "target";
-    pub const SPHERICAL: [&str; 3] = ["range_m", "az_rad", "el_rad"];
-    pub const SPHERICAL_SIGMA: [&str; 3] = ["sigma_range_m", "sigma_az_rad", "sigma_el_rad"];
-    pub const SPHERICAL_COVARIANCE: [&str; 6] = [
-        "cov_range_range_m2",
-        "cov_range_az_m_rad",
-        "cov_range_el_m_rad",
-        "cov_az_az_rad2",
-        "cov_az_el_rad2",
-        "cov_el_el_rad2",
-    ];
-    pub const CARTESIAN: [&str; 3] = ["x_m", "y_m", "z_m"];
-    pub const CARTESIAN_SIGMA: [&str; 3] = ["sigma_x_m", "sigma_y_m", "sigma_z_m"];
-    pub const CARTESIAN_COVARIANCE: [&str; 6] =
-        ["cov_xx_m2", "cov_xy_m2", "cov_xz_m2", "cov_yy_m2", "cov_yz_m2", "cov_zz_m2"];
-    /// `tracker_from_target` by rows.
-    pub const ROTATION: [&str; 9] = ["r11", "r12", "r13", "r21", "r22", "r23", "r31", "r32", "r33"];
-    pub const ROTATION_SIGMA: [&str; 3] = ["sigma_rx_rad", "sigma_ry_rad", "sigma_rz_rad"];
-    pub const POSE_COVARIANCE: [&str; 21] = [
-        "cov_xx_m2",
-        "cov_xy_m2",
-        "cov_xz_m2",
-        "cov_x_rx_m_rad",
-        "cov_x_ry_m_rad",
-        "cov_x_rz_m_rad",
-        "cov_yy_m2",
-        "cov_yz_m2",
-        "cov_y_rx_m_rad",
-        "cov_y_ry_m_rad",
-        "cov_y_rz_m_rad",
-        "cov_zz_m2",
-        "cov_z_rx_m_rad",
-        "cov_z_ry_m_rad",
-        "cov_z_rz_m_rad",
-        "cov_rx_rx_rad2",
-        "cov_rx_ry_rad2",
-        "cov_rx_rz_rad2",
-        "cov_ry_ry_rad2",
-        "cov_ry_rz_rad2",
-        "cov_rz_rz_rad2",
-    ];
-    pub const FACE: &str = "face";
-    pub const TIME: &str = "time_s";
-    pub const TEMPERATURE: &str = "temperature_c";
-    pub const PAYLOAD: &str = "payload";
-    pub const PAYLOAD_MASS: &str = "payload_mass_kg";
-    pub const PAYLOAD_CENTRE: [&str; 3] = ["payload_x_m", "payload_y_m", "payload_z_m"];
-    pub const PAYLOAD_FORCE: [&str; 3] = ["payload_force_x_n", "payload_force_y_n", "payload_force_z_n"];
-
-    /// Column of the joint at `index`.
-    pub fn joint(index: usize, kind: JointKind) -> String {
-        match kind {
-            JointKind::Revolute => format!("q{}_rad", index + 1),
-            JointKind::Prismatic => format!("q{}_m", index + 1),
-        }
-    }
-
-    /// Column of the approach direction of the actuator at `index`.
-    pub fn approach(index: usize) -> String {
-        format!("approach{}", index + 1)
-    }
-
-    /// Column of how far the actuator at `index` has moved since it last reversed.
-    pub fn since_reversal(index: usize, kind: JointKind) -> String {
-        match kind {
-            JointKind::Revolute => format!("since_reversal{}_rad", index + 1),
-            JointKind::Prismatic => format!("since_reversal{}_m", index + 1),
-        }
     }
 }
 
@@ -637,161 +458,9 @@ impl ColumnMap {
                 }
                 Ok(mapping)
             }
-            _ => own_mapping(header, joints),
+            _ => own::mapping(header, joints),
         }
     }
-}
-
-fn own_mapping(header: &[&str], joints: &[JointKind]) -> Result<Mapping, String> {
-    let has = |name: &str| header.contains(&name);
-    let surplus = [JointKind::Revolute, JointKind::Prismatic].map(|kind| own::joint(joints.len(), kind));
-    if let Some(name) = surplus.iter().find(|name| has(name)) {
-        return Err(format!("there is a column {name}, but the robot has {} joints", joints.len()));
-    }
-    let cartesian = own::CARTESIAN.iter().any(|name| has(name));
-    if cartesian && own::SPHERICAL.iter().any(|name| has(name)) {
-        return Err("there are columns of both x_m, y_m, z_m and range_m, az_rad, el_rad".to_owned());
-    }
-    let position = if cartesian {
-        PositionColumns::Cartesian { axes: own::CARTESIAN.map(Entry::named), unit: Some(LengthUnit::M) }
-    } else {
-        let [range, azimuth, polar] = own::SPHERICAL.map(Entry::named);
-        PositionColumns::Spherical {
-            range,
-            range_unit: Some(LengthUnit::M),
-            azimuth,
-            polar,
-            polar_angle: PolarAngle::Elevation,
-            angle_unit: Some(AngleUnit::Rad),
-        }
-    };
-    let rotation = own_rotation(header, cartesian)?;
-    let uncertainty = own_uncertainty(header, cartesian, rotation.is_some())?;
-    let optional = |name: &str| has(name).then(|| Entry::named(name));
-    let approach: Vec<_> = (0..joints.len()).map(own::approach).collect();
-    let directed = approach.iter().any(|name| has(name));
-    let ways: Vec<_> =
-        joints.iter().enumerate().map(|(index, kind)| own::since_reversal(index, *kind)).collect();
-    // One of these columns requires all of them.
-    let moved = ways.iter().any(|name| has(name));
-    Ok(Mapping {
-        joints: joints
-            .iter()
-            .enumerate()
-            .map(|(index, kind)| Entry::named(&own::joint(index, *kind)))
-            .collect(),
-        revolute: Some(AngleUnit::Rad),
-        prismatic: Some(LengthUnit::M),
-        position,
-        rotation,
-        uncertainty,
-        noise: None,
-        pose: optional(own::POSE),
-        station: optional(own::STATION),
-        target: optional(own::TARGET),
-        time: optional(own::TIME),
-        time_unit: TimeUnit::S,
-        temperature: optional(own::TEMPERATURE),
-        temperature_unit: TemperatureUnit::C,
-        air: Vec::new(),
-        face: optional(own::FACE).map(|column| FaceColumn {
-            column,
-            words: [Face::Front, Face::Back].map(|face| vec![face.key().to_owned()]),
-            angles: BackAngles::Own,
-        }),
-        approach: if directed {
-            approach.iter().map(|name| Entry::named(name)).collect()
-        } else {
-            Vec::new()
-        },
-        payload: own_payload(header)?,
-        since_reversal: if moved { ways.iter().map(|name| Entry::named(name)).collect() } else { Vec::new() },
-        rows: RowChoices::default(),
-        sets: Sets::default(),
-        join: None,
-        text: TextFormat::default(),
-        table: TableFormat::default(),
-    })
-}
-
-/// The own columns of a payload, if the file has them; one of them requires mass and centre.
-fn own_payload(header: &[&str]) -> Result<Option<PayloadColumns>, String> {
-    let has = |name: &&str| header.contains(name);
-    let has_force = own::PAYLOAD_FORCE.iter().any(has);
-    let numbers = [own::PAYLOAD_MASS].iter().chain(&own::PAYLOAD_CENTRE).any(has);
-    if !numbers && !has_force {
-        if !has(&own::PAYLOAD) {
-            return Ok(None);
-        }
-        return Err(format!(
-            "there is a column {}, but neither {} nor {}, one of which must say what it is",
-            own::PAYLOAD,
-            own::PAYLOAD_MASS,
-            own::PAYLOAD_CENTRE.join(", ")
-        ));
-    }
-    Ok(Some(PayloadColumns::Numbers {
-        name: has(&own::PAYLOAD).then(|| Entry::named(own::PAYLOAD)),
-        mass: Entry::named(own::PAYLOAD_MASS),
-        centre: own::PAYLOAD_CENTRE.map(Entry::named),
-        unit: LengthUnit::M,
-        force: has_force.then(|| own::PAYLOAD_FORCE.map(Entry::named)),
-    }))
-}
-
-/// The own columns of a rotation, if the file has them.
-fn own_rotation(header: &[&str], cartesian: bool) -> Result<Option<RotationColumns>, String> {
-    let has = |name: &&str| header.contains(name);
-    if !own::ROTATION.iter().any(has) {
-        return Ok(None);
-    }
-    if !cartesian {
-        return Err("there are columns of a rotation, r11 to r33, but no x_m, y_m, z_m".to_owned());
-    }
-    // One column of a group requires the whole group, so that a misspelt one is reported.
-    let sigma = own::ROTATION_SIGMA.iter().any(has).then(|| RotationSigma {
-        columns: own::ROTATION_SIGMA.map(Entry::named).into(),
-        unit: Some(AngleUnit::Rad),
-        coverage: 1.0,
-    });
-    Ok(Some(RotationColumns {
-        form: RotationForm::Matrix(MatrixOrder::ByRows),
-        columns: own::ROTATION.map(Entry::named).into(),
-        unit: None,
-        is_of_tracker: false,
-        sigma,
-    }))
-}
-
-/// The own columns of an uncertainty, if the file has them; here, too, one column of a group requires the whole group.
-fn own_uncertainty(header: &[&str], cartesian: bool, is_pose: bool) -> Result<Option<Uncertainty>, String> {
-    let (sigma, covariance) = if cartesian {
-        (own::CARTESIAN_SIGMA, own::CARTESIAN_COVARIANCE)
-    } else {
-        (own::SPHERICAL_SIGMA, own::SPHERICAL_COVARIANCE)
-    };
-    let covariance: Vec<&str> = if is_pose { own::POSE_COVARIANCE.into() } else { covariance.into() };
-    let has = |name: &&str| header.contains(name);
-    Ok(match (sigma.iter().any(has), covariance.iter().any(has)) {
-        (true, true) => return Err("there are columns of both sigma and cov: keep one kind".to_owned()),
-        (true, false) => Some(Uncertainty::Sigmas {
-            columns: sigma.map(Entry::named),
-            units: if cartesian {
-                SigmaUnits::Cartesian(Some(LengthUnit::M))
-            } else {
-                SigmaUnits::Spherical(Some(LengthUnit::M), Some(AngleUnit::Rad))
-            },
-            coverage: 1.0,
-        }),
-        (false, true) => {
-            let columns: Vec<Entry> = covariance.iter().map(|name| Entry::named(name)).collect();
-            Some(match <[Entry; 6]>::try_from(columns) {
-                Ok(columns) => Uncertainty::Covariance(columns),
-                Err(columns) => Uncertainty::Pose { columns, units: (LengthUnit::M, AngleUnit::Rad) },
-            })
-        }
-        (false, false) => None,
-    })
 }
 
 impl Mapping {

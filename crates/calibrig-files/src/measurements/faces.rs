@@ -86,7 +86,7 @@ pub(super) fn pair(
         if is_averaged {
             loaded
                 .remarks
-                .push("no reading is of the back face, so there are no two faces to average: use repeats = \"keep\" or \
+                .push("no reading is of the back face, so there are no two faces to average: use faces = \"keep\" or \
                        measure both faces".to_owned());
         }
         return Ok(());

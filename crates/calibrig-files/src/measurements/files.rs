@@ -4,12 +4,13 @@ use std::cell::Cell;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use super::columns::{ColumnMap, FilePart, JoinBy, PoseList, RowOptions};
+use super::columns::{ColumnMap, FilePart, JoinBy, RowOptions};
 use super::faces::{self, Faces};
 use super::header::{FileColumns, Head};
 use super::join::{Joints, Key, unmatched};
 use super::layout::Table;
 use super::open::open;
+use super::pose_list::PoseList;
 use super::reader::{Names, RowReader, check_length};
 use super::rows::{Row, Rows};
 use super::text::TextRows;

@@ -433,7 +433,7 @@ mod tests {
         assert_eq!(
             table.remarks(),
             [
-                "m.csv: 2 rows in front of the header (line 3) are passed over",
+                "m.csv: 2 rows in front of the header (line 3) are skipped",
                 "m.csv:5: numbers have a decimal comma, for example 1,5"
             ]
         );

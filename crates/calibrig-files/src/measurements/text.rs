@@ -594,7 +594,7 @@ mod tests {
             let input = Box::new(Cursor::new(bytes));
             TextRows::new("m.bin".to_owned(), input, &TextFormat::default(), &wanted).err().expect("refused")
         };
-        assert!(refused(b"a,b\n1,\0\n".to_vec()).to_string().contains("m.bin:2: a byte of 0"));
+        assert!(refused(b"a,b\n1,\0\n".to_vec()).to_string().contains("m.bin:2: a zero byte"));
         assert!(refused(vec![b'x'; 2 << 20]).to_string().contains("more than a million bytes"));
     }
 }

@@ -6,7 +6,7 @@ use miette::Diagnostic;
 use nalgebra::{DMatrix, DVector};
 use thiserror::Error;
 
-use super::columns::own;
+use super::own_columns as own;
 use super::units::TEMPERATURES;
 use crate::input::InputError;
 use crate::payloads::NO_PAYLOAD;

@@ -100,7 +100,7 @@ fn every_mistake_is_named_with_its_line_and_what_was_expected() {
         ("max_deg", "max_mm", "max_mm of joint \"swing\", which is revolute", 23, "max_deg"),
         ("max_mm = 500\n", "", "joint \"slide\" has no max_mm", 5, "max_mm"),
         ("max_mm = 500", "max_mm = -1", "max_mm of joint \"slide\" is not above min_mm", 13, "below"),
-        ("\"swing\"", "\"slide\"", "a second joint \"slide\"", 15, "own"),
+        ("\"swing\"", "\"slide\"", "a second joint \"slide\"", 15, "a different name"),
         ("\"swing\"", "\"\"", "name is empty", 15, "name"),
         ("max_mm = 500", "max_mm = 500\nstiffness_n_per_m = 0", "stiffness_n_per_m is 0", 14, "above zero"),
         (
@@ -120,14 +120,20 @@ fn every_mistake_is_named_with_its_line_and_what_was_expected() {
         ("\"direct\"", "\"belt\"", "actuators.kind is \"belt\"", 25, "`direct`"),
         ("\"direct\"", "\"direct\"\noffset_deg = 0", "no linkage", 26, "parallelogram"),
         ("\"direct\"", "\"parallelogram\"", "no shoulder", 24, "revolute"),
-        ("\"direct\"", "\"parallelogram\"\nshoulder = \"hip\"", "no joint \"hip\"", 26, "slide, swing"),
+        (
+            "\"direct\"",
+            "\"parallelogram\"\nshoulder = \"hip\"",
+            "no joint is named \"hip\"",
+            26,
+            "slide, swing",
+        ),
         ("\"direct\"", "\"parallelogram\"\nshoulder = \"slide\"", "\"slide\" is prismatic", 26, "revolute"),
         (
             "\"direct\"",
             "\"parallelogram\"\nshoulder = \"swing\"\nelbow = \"swing\"\noffset_deg = 0",
-            "one joint",
+            "the same joint",
             27,
-            "two",
+            "two different",
         ),
         (
             "[actuators]",
@@ -144,7 +150,13 @@ fn every_mistake_is_named_with_its_line_and_what_was_expected() {
             "every joint",
         ),
         ("[actuators]\nkind = \"direct\"\n", "", "missing key `actuators`", 1, ""),
-        ("name = \"two\"", "name = \"two\"\nurdf = \"a.urdf\"", "\"a.urdf\" was not given", 4, "text"),
+        (
+            "name = \"two\"",
+            "name = \"two\"\nurdf = \"a.urdf\"",
+            "the file \"a.urdf\" of urdf was not given",
+            4,
+            "text",
+        ),
         ("convention", "convention = = ", "", 4, ""),
     ] {
         let (found, at, expected) = refusal(from, to);
@@ -365,7 +377,7 @@ fn every_mistake_in_what_yields_is_named() {
         ("rod_mm = 1350", "rod_mm = 1800", "does not close with the elbow at -45.0 deg", "rod_mm"),
         ("\nangle_deg = 90", "\nangle_deg = 20", "of one line with the elbow at -20.", "at least 10 deg"),
         ("\nangle_deg = 90", "", "does not state the angle of crank and lever", "lever_angle_deg"),
-        ("\nangle_deg = 90", "\nangle_deg = 90\nlever_angle_deg = 90", "or two", "angle_deg, or"),
+        ("\nangle_deg = 90", "\nangle_deg = 90\nlever_angle_deg = 90", "or states it twice", "angle_deg, or"),
         ("along_mm = 250", "along_mm = inf", "along_mm is inf", "finite"),
         ("rod_stiffness_n_per_m = 8", "rod_stiffness_n_per_m = 0", "rod_stiffness_n_per_m is 0", "above"),
         ("rod_mass_kg = 12", "rod_mass_kg = -1", "rod_mass_kg is -1", "zero or more"),
@@ -376,14 +388,14 @@ fn every_mistake_in_what_yields_is_named() {
             "right after the shoulder",
         ),
         ("[gravity]", &load("joint = \"wrist\""), "load \"hose\" has neither mass nor force", "mass_kg"),
-        ("[gravity]", &load("joint = \"hand\"\nmass_kg = 1"), "no joint \"hand\"", "wrist"),
+        ("[gravity]", &load("joint = \"hand\"\nmass_kg = 1"), "no joint is named \"hand\"", "wrist"),
         ("[gravity]", &load("joint = \"wrist\"\nmass_kg = -1"), "mass_kg is -1", "zero or more"),
         ("[gravity]", &load("joint = \"wrist\"\nforce_x_n = nan"), "force_x_n is nan", "finite"),
         (
             "[gravity]",
             &load("joint = \"wrist\"\nmass_kg = 1;joint = \"wrist\"\nmass_kg = 1"),
             "a second load \"hose\"",
-            "its own",
+            "a different name",
         ),
     ] {
         match painter_with(from, to) {
@@ -474,7 +486,7 @@ fn a_target_that_cannot_be_is_refused_at_its_line() {
         (format!("[target]\nname = \" \"\n{at}"), "target.name is empty", 25, "measurement files"),
         (
             format!("[target]\n{at}\nrotation_quaternion_xyzw = [0, 0, 0, 0.9]"),
-            "the quaternion has length 0.900000, off 1 by 1.0e-1",
+            "the quaternion has length 0.900000, which differs from 1 by 1.0e-1",
             28,
             "w among them",
         ),
@@ -500,7 +512,7 @@ fn a_target_that_cannot_be_is_refused_at_its_line() {
             format!("[[target]]\nname = \"A\"\n{at}\n[[target]]\nname = \"A\"\n{at}"),
             "a second target \"A\"",
             30,
-            "its own",
+            "a different name",
         ),
         (
             format!("[[target]]\nname = \"A\"\n{at}\n[[target]]\nname = \"B\"\nx_mm = 1\ny_mm = 2"),
@@ -654,13 +666,13 @@ fn axes_and_bodies_that_cannot_be_are_refused() {
         ("[joint.shown]\nsign = 2", "shown.sign of joint \"swing\" is 2"),
         ("[joint.shown]\nratio = 0", "shown.ratio is 0"),
         ("[joint.shown]\noffset_mm = 3", "an offset in the other unit, that of joint \"swing\""),
-        ("[joint.shown]\ncoupling = { slid = 1 }", "shown.coupling: no joint \"slid\""),
+        ("[joint.shown]\ncoupling = { slid = 1 }", "shown.coupling: no joint is named \"slid\""),
         ("[joint.shown]\ncoupling = { swing = 1 }", "couples joint \"swing\" with itself"),
         (
             "[joint.follows]\njoint = \"swing\"",
             "joint \"swing\" is in a circle of joints that follow each other",
         ),
-        ("[joint.follows]\njoint = \"lift\"", "follows.joint: no joint \"lift\""),
+        ("[joint.follows]\njoint = \"lift\"", "follows.joint: no joint is named \"lift\""),
         ("[joint.follows]\njoint = \"slide\"\n[joint.shown]\nsign = -1", "has both shown and follows"),
         ("[joint.body]\nmass_kg = 0\nx_mm = 0\ny_mm = 0\nz_mm = 0", "body.mass_kg is 0"),
         (
@@ -669,7 +681,7 @@ fn axes_and_bodies_that_cannot_be_are_refused() {
         ),
         (
             "[joint.body]\nmass_kg = 1\nx_mm = 0\ny_mm = 0\nz_mm = 0\nixx_kg_m2 = 1\niyy_kg_m2 = 1\nizz_kg_m2 = 3",
-            "the inertia of joint \"swing\" is that of no body",
+            "the inertia of joint \"swing\" is not that of a real body",
         ),
     ] {
         let text = with(joint, "");

@@ -547,7 +547,7 @@ mod tests {
             ("<mass value=\"2\"/>", "", "<inertial> has no <mass>", 4, "<mass"),
             ("ixx=\"1\"", "ixx=\"-1\"", "not positive definite", 7, "above zero"),
             ("ixy=\"0\"", "ixy=\"1.5\"", "not positive definite", 7, "above zero"),
-            ("izz=\"2.5\"", "izz=\"3.5\"", "the inertia of link arm is that of no body", 7, "sum"),
+            ("izz=\"2.5\"", "izz=\"3.5\"", "the inertia of link arm is not that of a real body", 7, "sum"),
             ("xyz=\"1 0 0\"", "xyz=\"1 0\"", "xyz of <origin> is \"1 0\"", 5, "3 finite numbers"),
             ("xyz=\"1 0 0\"", "xyz=\"1 x 0 0\"", "xyz of <origin>", 5, "3 finite numbers"),
             ("rpy=\"0.1 0.2 0.3\"", "rpy=\"0.1 0.2 inf\"", "rpy of <origin>", 17, "3 finite numbers"),
@@ -557,7 +557,7 @@ mod tests {
             (
                 "<box size=\"1 0.1 0.2\"/>",
                 "<sphere radius=\"0\"/>",
-                "a shape of link arm is of no size",
+                "a shape of link arm is of size zero",
                 3,
                 "above zero",
             ),
@@ -593,7 +593,7 @@ mod tests {
                 2,
                 "one root",
             ),
-            ("<link name=\"base\"/>", "<link name=\"arm\"/>", "a second link named arm", 3, "one link"),
+            ("<link name=\"base\"/>", "<link name=\"arm\"/>", "a second link named arm", 3, "different name"),
             ("</robot>", "", "<robot> is not closed", 1, "URDF"),
             ("</inertial>", "</visual>", "</visual> closes <inertial>", 8, "URDF"),
             ("</link>", "</link></link>", "</link> closes <robot>", 13, "URDF"),
@@ -608,7 +608,7 @@ mod tests {
                 "<inertial><mass value=\"1\"/></inertial></link>",
                 "a second <inertial>",
                 13,
-                "one of them",
+                "only one",
             ),
         ] {
             let (found, at, expected) = refusal(from, to);

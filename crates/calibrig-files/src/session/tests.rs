@@ -232,7 +232,7 @@ fn a_payload_is_that_of_every_pose_of_its_set() {
         ("[[payload]]\nname = \"p\"\nmass_kg = 5", "session.toml:2: payload \"p\" has no centre"),
         (
             "[[payload]]\nname = \"p\"\nmass_kg = 5\nmass_factor = 2",
-            "session.toml:5: mass_factor is of a simulated payload",
+            "session.toml:5: mass_factor applies to a simulated payload",
         ),
         (
             "[[payload]]\nname = \"p\"\nset = \"all\"\nmass_kg = 5\nx_mm = 0\ny_mm = 0\nz_mm = 0",
@@ -257,7 +257,7 @@ fn refusals_name_line_and_key() {
         ("[[station]]\nname = \"s\"\nset = \"test\"", "session.toml:4: set is \"test\""),
         (
             "[[station]]\nname = \"s\"\n[[station]]\nname = \"s\"",
-            "session.toml:5: station \"s\" is there twice",
+            "session.toml:5: station \"s\" appears twice",
         ),
         ("[[station]]\nname = \"s\"\nx_m = 1", "session.toml:4: unknown key `x_m`"),
         (&format!("{nest}position_m = [1, 2, 3]"), "no uncertainty"),
@@ -290,7 +290,7 @@ fn refusals_name_line_and_key() {
             &format!("{seen}time_s = 1\n{}time_s = 2\n", again.replace("3]\nin", "3.002]\nin")),
             "session.toml:11: nest \"n\" appears twice, with certified places 2.0000 mm apart",
         ),
-        (&format!("{seen}face = \"back\"\n"), "session.toml:9: face is of range and angles"),
+        (&format!("{seen}face = \"back\"\n"), "session.toml:9: face applies to range and angles"),
         (
             &format!(
                 "{nest}in_base_sigma_m = 1e-5\nrange_m = 2\naz_rad = 0\nel_rad = 0\nsigma_range_m = 1\nsigma_az_rad = 1\nsigma_el_rad = 1\nface = \"rear\"\n"
@@ -314,7 +314,7 @@ fn refusals_name_line_and_key() {
             &format!(
                 "{target}rotation_vector_deg = [1, 2, 3]\nrotation_matrix = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n"
             ),
-            "session.toml:6: the rotation is stated twice",
+            "session.toml:6: the rotation is given twice",
         ),
         (
             &format!("{target}rotation_matrix = [[1, 0, 0], [0, 1, 0], [0, 0, -1]]\n"),
@@ -334,7 +334,7 @@ fn refusals_name_line_and_key() {
         ),
         (
             &format!("{target}rotation_sigma_mrad = 1\n"),
-            "session.toml:5: the uncertainty of a rotation is stated, and no rotation",
+            "session.toml:5: the uncertainty of a rotation is stated, but no rotation",
         ),
     ];
     for (text, expected) in cases {
@@ -374,7 +374,7 @@ fn what_no_identification_can_use_is_refused_at_its_line() {
         (
             station(["0, 0, 0", "1, 0, 0", "2, 0, 0"], "1e-5"),
             "session.toml:3: station \"s\": the base nests lie on one line and do not determine the tracker's place: \
-             n0, 0, 0, n1, 0, 0, n2, 0, 0 are on it to 0.000 mm",
+             add a nest away from that line (n0, 0, 0, n1, 0, 0, n2, 0, 0 lie on it within 0.000 mm)",
         ),
         (station(sound, "0"), "session.toml:4: station \"s\": nest n0, 0, 0: its covariance is missing"),
         (target("sigma_m = 0"), "session.toml:3: target \"t\": its uncertainty is not above zero"),
@@ -426,7 +426,7 @@ fn instruments_nests_in_rounds_and_turned_targets_are_read_in_units_that_people_
     let refused = parse(&two).expect_err("contradicts").to_string();
     assert!(
         refused.contains("instrument \"AT1\" is stated differently at station \"s\": range_scale_m_per_m is not stated here \
-                          and 3e-7 there"),
+                          but 3e-7 there"),
         "{refused}"
     );
 }

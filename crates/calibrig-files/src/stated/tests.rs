@@ -86,7 +86,10 @@ fn the_target_of_a_file_without_names_is_the_one_that_is_stated() {
     assert_eq!(known(&files[0]), [("target 1", 0.1, Some(2e-5 * 2e-5))]);
     assert_eq!(
         told.assumed,
-        ["station 1: identified, no nests are stated", "target 1: stated by robot.toml, +- 0.02 mm an axis"]
+        [
+            "station 1: identified, because no nests are stated",
+            "target 1: stated by robot.toml, +- 0.02 mm per axis"
+        ]
     );
     assert!(told.remarks.is_empty());
     let mut files = fitted(&[]);
@@ -94,12 +97,12 @@ fn the_target_of_a_file_without_names_is_the_one_that_is_stated() {
     assert_eq!(known(&files[0]), [("SMR1", 0.1, None)]);
     assert_eq!(
         told.assumed[1],
-        "target SMR1: identified, from the offset that robot.toml states without an uncertainty"
+        "target SMR1: identified, starting from the offset that robot.toml states without an uncertainty"
     );
     let mut files = fitted(&[]);
     let told = state(&robot(&[]), None, &mut files).expect("nothing is stated");
     assert_eq!(known(&files[0]), [("target 1", 0.0, None)]);
-    assert_eq!(told.assumed[1], "target 1: identified, nothing is stated of it");
+    assert_eq!(told.assumed[1], "target 1: identified, because nothing is stated about it");
 }
 
 #[test]
@@ -109,7 +112,7 @@ fn targets_are_matched_by_name() {
     let told = state(&both, None, &mut files).expect("two are stated");
     assert_eq!(known(&files[0]), [("C", 0.0, None), ("B", 0.2, None), ("A", 0.1, Some(2e-5 * 2e-5))]);
     assert_eq!(told.remarks, ["target spare of robot.toml: no reading names it, and it is left out"]);
-    assert_eq!(told.assumed[1], "target C: identified, nothing is stated of it");
+    assert_eq!(told.assumed[1], "target C: identified, because nothing is stated about it");
     // A name is not asked of the only one.
     let mut files = fitted(&["SMR", "SMR"]);
     state(&robot(&[("", 100.0, "")]), None, &mut files).expect("one of each");
@@ -162,7 +165,7 @@ fn targets_that_cannot_be_matched_are_refused() {
     let other = refused(&robot(&[("A", 1.0, "")]), None, fitted(&["smr1", "smr1"]));
     assert_has(
         &other,
-        &["robot.toml:15: ", "no reading names what is stated, A", "measured are smr1", "--session"],
+        &["robot.toml:15: ", "no reading names a stated target, A", "measured are smr1", "--session"],
     );
     let shots = refused(&robot(&[]), None, fitted(&["P1", "P2", "P3"]));
     assert_has(
@@ -194,7 +197,7 @@ fn a_session_file_holds_in_place_of_the_robots() {
         told.assumed,
         [
             "station s: placed by 3 nests of session.toml",
-            "target A: identified, from the offset that session.toml states without an uncertainty"
+            "target A: identified, starting from the offset that session.toml states without an uncertainty"
         ]
     );
     assert_eq!(
@@ -224,7 +227,7 @@ fn a_session_file_of_other_measurements_is_refused() {
     let which = refused(&robot(&[]), Some(&two), fitted(&[]));
     assert_has(
         &which,
-        &["session.toml:3: ", "does not name its station, and 2 are described: s, t", "a column station"],
+        &["session.toml:3: ", "does not name its station, but 2 are described: s, t", "a column station"],
     );
 }
 
@@ -283,7 +286,7 @@ fn rows_that_repeat_another_to_the_last_digit_count_once_and_are_told() {
     let told = state(&robot(&[]), None, &mut files).expect("valid").remarks;
     assert_eq!(files[0].loaded.set.observations.len(), 3);
     let expected =
-        "m.csv: 2 of the readings repeat another to the last digit and count once with it (pose 3)";
+        "m.csv: 2 of the readings repeat another to the last digit and count only once with it (pose 3)";
     assert!(told.iter().any(|line| line == expected), "{told:?}");
 }
 

@@ -244,7 +244,7 @@ mod tests {
         );
         has(
             &told(&|set, _| set.targets[0].orientation = None),
-            "nothing says how its target is turned on the flange (1)",
+            "the orientation of its target on the flange (1) is not stated",
         );
         let of_target = |rotation, covariance| {
             told(&|set: &mut MeasurementSet, _: &mut PoseReading| {

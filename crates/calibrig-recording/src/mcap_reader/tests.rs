@@ -362,6 +362,23 @@ fn copies_of_other_writers_are_read_whole_and_what_no_checksum_covers_is_told() 
     }
 }
 
+/// Where no checksum covers the data, a record without a kind must not hide all that comes after it.
+#[test]
+fn a_record_whose_opcode_is_lost_is_an_error_without_checksums_too() {
+    let options = mcap::WriteOptions::new().use_chunks(false).calculate_data_section_crc(false);
+    let bytes = rewritten_with(options, None, &bytes_of(&synthetic::outcome(2, 1, false)), &mut |_, _| true);
+    assert!(read(&bytes).is_ok());
+    let (mut at, mut count) = (mcap::MAGIC.len(), 0);
+    while bytes[at] != records::op::DATA_END {
+        let mut damaged = bytes.clone();
+        damaged[at] = 0;
+        assert!(read(&damaged).is_err(), "the record at byte {at} and all behind it are missing");
+        let length = u64::from_le_bytes(bytes[at + 1..at + 9].try_into().expect("eight bytes"));
+        (at, count) = (at + 9 + usize::try_from(length).expect("a length"), count + 1);
+    }
+    assert!(count > 20, "{count}");
+}
+
 #[test]
 fn topics_can_be_left_out() {
     let outcome = synthetic::outcome(4, 2, true);

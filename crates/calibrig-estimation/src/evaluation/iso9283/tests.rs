@@ -226,9 +226,9 @@ fn what_is_no_test_is_refused_with_its_poses() {
     let told = refused(&set(&[0.1, 0.2, 0.1]), 0, None);
     assert!(told.starts_with("only pose 1 of target SMR was measured more than once"), "{told}");
     let told = refused(&set(&[0.1, 0.2, 0.1, 0.2, 0.1]), 0, None);
-    assert!(told.contains("pose 2 was measured in 2 cycles, pose 1 in 3"), "{told}");
+    assert!(told.contains("pose 2 was measured in 2 cycles, but pose 1 in 3"), "{told}");
     let told = refused(&set(&[0.1, 0.2, 0.1, 0.2]), 0, Some(3));
-    assert!(told.contains("pose 1 was measured in 2 cycles, 3 were asked for"), "{told}");
+    assert!(told.contains("pose 1 was measured in 2 cycles, but 3 were asked for"), "{told}");
     let told = refused(&set(&[0.1, 0.2, 0.1, 0.2]), 0, None);
     assert!(told.starts_with("target SMR: pose 1 was measured in only two cycles"), "{told}");
     assert!(refused(&set(&[0.1]), 3, None).contains("was not measured"));

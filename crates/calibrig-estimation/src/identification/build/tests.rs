@@ -247,7 +247,7 @@ fn a_prior_that_is_violated_by_far_is_told_although_the_model_is_doubted() {
     let set = sagging(Some(NOISE / 6.0));
     let estimate = identify(&three_axes(2e4 * 2.64), &set, &elastic(0.15)).expect("an estimate");
     let told = words(&estimate);
-    assert!(told.contains("the measurements contradict what was stated of compliance_drive"), "{told}");
+    assert!(told.contains("the measurements contradict what was stated about compliance_drive"), "{told}");
 }
 
 #[test]

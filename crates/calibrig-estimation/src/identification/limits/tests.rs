@@ -129,7 +129,13 @@ fn bounds_that_cannot_be_are_refused_in_words() {
     for (bounds, choice, index, message, help) in [
         (vec![bound(A4, f64::NAN, 1.0)], FrameChoice::Nests, 0, "not a number", "finite"),
         (vec![bound(A4, f64::NEG_INFINITY, f64::INFINITY)], FrameChoice::Nests, 0, "no limit", "lower or"),
-        (vec![bound(A4, 0.0, 0.0)], FrameChoice::Nests, 0, "ends at 0 mm, not above", "left out"),
+        (
+            vec![bound(A4, 0.0, 0.0)],
+            FrameChoice::Nests,
+            0,
+            "ends at 0 mm, which is not above",
+            "leave it out",
+        ),
         (
             vec![bound(A4, 0.01, -0.01)],
             FrameChoice::Nests,

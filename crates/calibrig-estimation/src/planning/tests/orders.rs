@@ -147,7 +147,7 @@ fn what_cannot_be_put_in_order_is_refused() {
     let way = Way { commands: &commands, home: None, speeds: &[1.0; 2], drift: None, weights };
     let text = |way: &Way<'_>| ordered(way).expect_err("refused").to_string();
     assert_eq!(ordered(&Way { commands: &[], ..way }), Err(PlanError::NoPoses));
-    assert!(text(&Way { speeds: &[1.0], ..way }).contains("speeds, one a joint: 1 entries, expected 2"));
+    assert!(text(&Way { speeds: &[1.0], ..way }).contains("speeds, one per joint: 1 entries, expected 2"));
     assert!(text(&Way { speeds: &[1.0, 0.0], ..way }).contains("speed of a joint is 0"));
     assert!(text(&Way { home: Some(&[0.0]), ..way }).contains("command"));
     assert!(text(&Way { home: Some(&[0.0, f64::NAN]), ..way }).contains("not a finite"));

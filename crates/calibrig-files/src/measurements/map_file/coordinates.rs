@@ -48,7 +48,7 @@ impl Reader<'_> {
             )),
             (None, None) => {
                 let message = format!("[{}] has neither elevation nor zenith", table.0);
-                Err(self.error(table.1.clone(), message, "only one of elevation and zenith"))
+                Err(self.error(table.1.clone(), message, "one of elevation and zenith"))
             }
         }
     }

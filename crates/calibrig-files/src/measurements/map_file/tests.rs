@@ -130,7 +130,7 @@ fn every_mistake_is_named_with_its_line_and_what_was_expected() {
             "z = [\"zt\"]\nrange = \"R\"",
             "range does not belong to the cartesian",
             11,
-            "alone",
+            "only the keys of the cartesian system",
         ),
         (CARTESIAN, "z = \"sz\"\n", "", "[sigma] has no z", 11, "z"),
         (
@@ -150,7 +150,14 @@ fn every_mistake_is_named_with_its_line_and_what_was_expected() {
             "actuator",
         ),
         (CARTESIAN, "pose", "number", "unknown key `number`", 17, "`pose`"),
-        (SPHERICAL, "\"spherical\"", "\"cartesian\"", "range does not belong", 7, "alone"),
+        (
+            SPHERICAL,
+            "\"spherical\"",
+            "\"cartesian\"",
+            "range does not belong",
+            7,
+            "only the keys of the cartesian system",
+        ),
         (SPHERICAL, "zenith = \"Ze\"", "", "neither elevation nor zenith", 5, "one of"),
         (
             SPHERICAL,
@@ -158,7 +165,7 @@ fn every_mistake_is_named_with_its_line_and_what_was_expected() {
             "zenith = \"Ze\"\nelevation = \"El\"",
             "both elevation and zenith",
             10,
-            "one of",
+            "only one of",
         ),
         (SPHERICAL, "zenith = \"sZe\"", "elevation = \"sZe\"", "[sigma] and [position] differ", 12, "same"),
         (
@@ -167,7 +174,7 @@ fn every_mistake_is_named_with_its_line_and_what_was_expected() {
             "unit = \"m\"",
             "unit does not belong to the spherical",
             11,
-            "alone",
+            "only the keys of the spherical system",
         ),
         (SPHERICAL, "\"arcsec\"", "\"min\"", "sigma.angle_unit is \"min\"", 17, "`arcsec`"),
     ] {

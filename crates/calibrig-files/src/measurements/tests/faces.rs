@@ -146,8 +146,8 @@ fn air_that_cannot_be_is_refused_with_the_unit_that_it_looks_like() {
         ("temperature_c", "-300", "a temperature from -60 to 120 °C"),
         ("temperature_f", "294", "as K it is possible:"),
         ("pressure_hpa", "101325", "as pa it is possible; then the key is pressure_pa"),
-        ("pressure_hpa", "29.92", "as inhg it is possible:"),
-        ("pressure_mmhg", "1013.2", "as hpa it is possible:"),
+        ("pressure_hpa", "29.92", "as inhg it is possible; then the key is pressure_inhg"),
+        ("pressure_mmhg", "1013.2", "as hpa it is possible; then the key is pressure_hpa"),
         ("pressure_hpa", "3", "an air pressure from 500 to 1100 hPa"),
         ("humidity_percent", "140", "a relative humidity from 0 to 100 %"),
     ] {

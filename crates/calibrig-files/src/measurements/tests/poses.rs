@@ -179,7 +179,7 @@ fn rows_that_are_no_pose_are_refused_where_they_are() {
         (
             &quaternion,
             format!("{q}1,2,3,4,5,0.9,0.1,0,0\n"),
-            "set.csv:3: the quaternion has length 0.905539, off 1 by 9.4e-2",
+            "set.csv:3: the quaternion has length 0.905539, which differs from 1 by 9.4e-2",
             "its four columns, w among them",
         ),
         (
@@ -198,7 +198,7 @@ fn rows_that_are_no_pose_are_refused_where_they_are() {
         (
             &matrix,
             format!("{m}1,2,3,4,5,1,0.1,0,0,1,0,0,0,1\n"),
-            "set.csv:2: the matrix is no rotation: its columns are off unit vectors at right angles by 1.0e-1",
+            "set.csv:2: the matrix is not a rotation: its columns differ from unit vectors at right angles by 1.0e-1",
             "the nine columns of one matrix",
         ),
         (
@@ -230,7 +230,11 @@ fn few_digits_are_told() {
         map(&rotation_map("form = \"quaternion\"\norder = \"wxyz\"\ncolumns = [\"a\", \"b\", \"c\", \"d\"]"));
     let loaded = mapped("s,t,x,y,z,a,b,c,d\n1,2,3,4,5,0.707,0.707,0,0\n", &map).expect("rounded");
     assert!((pose_of(&loaded, 0).rotation.angle() - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
-    assert!(loaded.remarks[0].contains("off their form by up to 1.5e-4"), "{:?}", loaded.remarks);
+    assert!(
+        loaded.remarks[0].contains("rotations differ from exact ones by up to 1.5e-4"),
+        "{:?}",
+        loaded.remarks
+    );
 }
 
 #[test]
@@ -253,7 +257,7 @@ fn points_and_poses_are_not_put_together() {
         let refused =
             read_files(&files, &ColumnMap::default(), &KINDS, &options).expect_err("mixed").to_string();
         let (this, other) = if first == 0 { ("a point", "a full pose") } else { ("a full pose", "a point") };
-        assert!(refused.contains(&format!(":2: this row is {this}, and ")), "{refused}");
+        assert!(refused.contains(&format!(":2: this row is {this}, but ")), "{refused}");
         assert!(refused.contains(&format!("is {other}")), "{refused}");
     }
     let without_z = pose.replace("r33", "r34");

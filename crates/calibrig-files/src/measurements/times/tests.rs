@@ -87,7 +87,7 @@ fn one_date_tells_how_all_are_written() {
     let dates = seen(&["P-1/2", "04/05/2026 10:15", "13/05/2026 10:15"]);
     assert_eq!(dates.order, Some(DateOrder::Dmy));
     assert!(
-        dates.why.is_some_and(|why| why == "dates are day, month, year, as 13/05/2026 10:15 (line 7) tells")
+        dates.why.is_some_and(|why| why == "dates are day, month, year, as 13/05/2026 10:15 (line 7) shows")
     );
     assert_eq!(seen(&["05/13/2026"]).order, Some(DateOrder::Mdy));
     let american = seen(&["04/05/2026 10:15 PM"]);
@@ -135,7 +135,7 @@ fn times_are_read_in_the_way_of_the_file_and_what_is_odd_is_told() {
     // One date that can be read one way only tells all.
     let (times, told) = seconds(&["04/05/2026 10:15:30", "13/05/2026 10:15:30"], "clock", clock);
     assert_eq!(times, [may, may + 9.0 * 86_400.0]);
-    assert!(told.contains("dates are day, month, year, as 13/05/2026 10:15:30 (line 3) tells"), "{told}");
+    assert!(told.contains("dates are day, month, year, as 13/05/2026 10:15:30 (line 3) shows"), "{told}");
     let (times, told) = seconds(&["05/04/2026 10:15:30 AM"], "clock", clock);
     assert!(times == [may] && told.contains("since the time has AM or PM"), "{told}");
     let found = refused(&["05/04/2026 10:15:30"], "clock", clock);

@@ -234,8 +234,15 @@ fn topics_are_told_apart_or_asked_for() {
     let second = Cdr::point(5_050 * MS, false, "tracker", &[7.0, 8.0, 9.0]);
     messages.push(("/smr2", POINT, 1, second));
     let error = of(&messages, &BagOptions::default()).expect_err("refused");
-    for words in ["several topics have points", "/smr ", "/smr2 ", "1 message)", "--bag-points"] {
-        assert!(error.contains(words), "{words}: {error}");
+    // A drawn line may end within a name.
+    let without_blanks = |text: &str| text.split_whitespace().collect::<String>();
+    for words in [
+        "several topics have points",
+        "--bag-points with one of them, or with several if each is a different target",
+        "/smr (geometry_msgs/msg/PointStamped, 4 messages)",
+        "/smr2 (geometry_msgs/msg/PointStamped, 1 message)",
+    ] {
+        assert!(without_blanks(&error).contains(&without_blanks(words)), "{words}: {error}");
     }
     let both = BagOptions { points: vec!["/smr".to_owned(), "/smr2".to_owned()], ..BagOptions::default() };
     let table = of(&messages, &both).expect("read");
@@ -262,7 +269,7 @@ fn points_without_their_joints_are_dropped_with_the_reason() {
     let said = table.remarks.join("\n");
     for words in [
         "1 point dropped: /smr, message 5: no state of b within 50 ms",
-        "1 point dropped, no numbers: /smr, message 6",
+        "1 point dropped, coordinates not finite: /smr, message 6",
     ] {
         assert!(said.contains(words), "{words}: {said}");
     }
