@@ -184,11 +184,11 @@ fn check_explains_the_session() {
     let text = sandbox.run(["check", SESSION]).stdout;
     for line in [
         "  session      ",
-        "    stations   1, left; each pose from the one that sees most targets, of these the nearest",
+        "    stations   1, left; each pose from the station that sees most targets, of these the nearest",
         "    targets    SMR, SMR 2, SMR 3",
-        "    poses      by short ways, 2 visits each, approached from below and above in turn, 30.0 mm or 2.00 deg; 34.0 s a pose",
+        "    poses      by short paths, 2 visits each, approached from below and above in turn, 30.0 mm or 2.00 deg; 34.0 s a pose",
         "    nests      before the first pose, again every 5 poses, and after the last",
-        "    sight      past the shapes of all links, targets turned to the tracker",
+        "    sight      blocked by the shapes of all links, targets turned to the tracker",
     ] {
         assert!(text.contains(line), "{line}\n{text}");
     }
@@ -223,10 +223,10 @@ fn what_cannot_be_planned_is_refused_with_its_place() {
             "name",
             "name = \"1\"",
             "session.station.name is \"1\", which is used already",
-            "of its own",
+            "a different name",
         ),
         (station, "x_mm", "x_mm = 60000", "from station \"left\"", "the tracker's range"),
-        (target, "name", "name = \" \"", "session.target.name is empty", "of its own"),
+        (target, "name", "name = \" \"", "session.target.name is empty", "a different name"),
         (target, "y_mm", "y_mm = inf", "session.target.y_mm is inf", "finite"),
         (
             sight,

@@ -266,7 +266,7 @@ fn how_many_poses_an_accuracy_needs() {
     let file = MATCHED;
     let arguments = ["plan", MATCHED, "--accuracy", "0.01mm", "--most", "40"];
     let arguments: Vec<&str> = arguments.into_iter().chain(sigma).collect();
-    assert_refused(&sandbox, &arguments, file, "the machine's own random errors", "a larger --accuracy");
+    assert_refused(&sandbox, &arguments, file, "the machine's own random error, pose by pose, is already", "a larger --accuracy");
     // With a number of poses the plan is told all the same, and is to be looked at.
     let ended = sandbox.run(arguments.iter().copied().chain(["--poses", "20"]));
     assert_eq!(ended.code, Some(3), "{ended:?}");
@@ -519,7 +519,7 @@ fn what_cannot_be_planned_is_refused() {
         &sandbox,
         &arguments,
         "scenarios/unknown.toml",
-        "the candidate poses cannot tell all parameters: delta_",
+        "the candidate poses cannot determine all parameters: delta_",
         "a prior",
     );
 }

@@ -320,7 +320,7 @@ fn what_cannot_be_done_is_refused_before_the_first_trial() {
         assert_refused(&sandbox, &arguments, &place, message, "switch [effects.stiffening] off");
     }
     for (start, lines, below, message, expected) in [
-        ("tolerance_mm = ", "", 0, "tolerance_mrad stands alone", "tolerance_mm as well"),
+        ("tolerance_mm = ", "", 0, "tolerance_mrad is given without its counterpart", "tolerance_mm as well"),
         ("tolerance_mm = ", "tolerance_mm = 0", 0, "tolerance_mm is 0", "above zero"),
         (
             "compliances = [",

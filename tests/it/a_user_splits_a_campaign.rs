@@ -207,7 +207,7 @@ fn every_fault_among_the_shards_is_named_and_nothing_is_merged() {
     let merged = sandbox.run(["merge", "out"]);
     assert_eq!((merged.code, merged.stdout.as_str()), (Some(3), ""), "{merged:?}");
     assert!(
-        merged.stderr.contains("2 of 4 shards are missing, and no table is made: 1,3"),
+        merged.stderr.contains("2 of 4 shards are missing, so no table is made: 1,3"),
         "{}",
         merged.stderr
     );

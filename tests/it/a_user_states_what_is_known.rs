@@ -70,7 +70,7 @@ fn a_bound_that_cannot_be_is_refused_at_its_line() {
         (
             "parameter = \"delta_a4\"\nmin_mm = 0\nmax_mm = 0",
             4,
-            "ends at 0 mm, not above",
+            "ends at 0 mm, which is not above its start at 0 mm",
             "value, leave it out of the parameters",
         ),
         (
@@ -231,7 +231,7 @@ fn a_prior_that_the_measurements_contradict_ends_with_3_and_is_named() {
     let [doubt] = doubts.as_slice() else { panic!("one for all: {}", ended.stderr) };
     for part in [
         "geometry and stiffness",
-        "contradict what was stated of compliance_drive",
+        "contradict what was stated about compliance_drive",
         "sigma",
         "Check these values",
         "0.1 %",
@@ -366,7 +366,7 @@ fn a_plan_of_what_the_robot_does_not_have_is_refused() {
     for (flags, message) in [
         (
             &["--compliances", "all"][..],
-            "--compliances: expected --mode elasto_geometric or --mode extended beside it",
+            "--compliances: expected --mode elasto_geometric or --mode extended with it",
         ),
         (&["--mode", "elasto_geometric", "--terms", "rail"], "--terms: expected --mode extended with it"),
         (&["--mode", "extended", "--terms", "growth"], "expected some of: none, linkage"),
@@ -456,7 +456,7 @@ fn a_session_file_makes_identify_the_replay_of_the_same_recording() {
     assert!(found(&identified) == found(&replayed), "the estimates differ");
     for line in [
         "station 1: placed by 7 nests of t/session.toml, 77 readings\n",
-        "target SMR: stated by t/session.toml, +- 0.01 mm an axis\n",
+        "target SMR: stated by t/session.toml, +- 0.01 mm per axis\n",
         "targets are taken from t/session.toml, not from t/robot.toml\n",
     ] {
         assert!(identified.stderr.contains(line), "{line}: {}", identified.stderr);
@@ -464,10 +464,10 @@ fn a_session_file_makes_identify_the_replay_of_the_same_recording() {
     // It is another question than without: the base's own parameters are told by the nests.
     let [identified, replayed] = both_ways(&sandbox, &files[..6]);
     assert!(found(&identified) == found(&replayed), "the estimates differ");
-    let told = "target SMR: identified, from the offset that t/robot.toml states without an uncertainty\n";
+    let told = "target SMR: identified, starting from the offset that t/robot.toml states without an uncertainty\n";
     assert!(identified.stderr.contains(told), "{}", identified.stderr);
     assert!(
-        identified.stderr.contains("station 1: identified, no nests are stated\n"),
+        identified.stderr.contains("station 1: identified, because no nests are stated\n"),
         "{}",
         identified.stderr
     );
@@ -565,9 +565,9 @@ fn measured_targets_are_priors_beside_others_that_are_identified() {
     assert_eq!(identified.code, Some(0), "{identified:?}");
     assert!(found(&identified) == found(&replayed), "the estimates differ");
     for line in [
-        "target A: stated by models/ur5/stated.toml, +- 0.02 mm an axis\n",
-        "target B: identified, from the offset that models/ur5/stated.toml states without an uncertainty\n",
-        "target C: identified, nothing is stated of it\n",
+        "target A: stated by models/ur5/stated.toml, +- 0.02 mm per axis\n",
+        "target B: identified, starting from the offset that models/ur5/stated.toml states without an uncertainty\n",
+        "target C: identified, because nothing is stated about it\n",
         "target spare of models/ur5/stated.toml: no reading names it, and it is left out\n",
     ] {
         assert!(identified.stderr.contains(line), "{line}: {}", identified.stderr);
@@ -600,7 +600,7 @@ fn the_same_statement_in_either_file_is_the_same() {
         "only_calibration",
     ]);
     assert!(
-        of_robot.stderr.contains("target 1: stated by models/ur5/stated.toml, +- 0.02 mm an axis\n"),
+        of_robot.stderr.contains("target 1: stated by models/ur5/stated.toml, +- 0.02 mm per axis\n"),
         "{of_robot:?}"
     );
     sandbox.write(
@@ -611,12 +611,12 @@ fn the_same_statement_in_either_file_is_the_same() {
         ["identify", "--json", "--model", UR5, "--measurements", "fit.csv", "--mode", "only_calibration"];
     let of_session = sandbox.run([&arguments[..], &["--session", "s.toml"]].concat());
     assert!(
-        of_session.stderr.contains("target SMR: stated by s.toml, +- 0.02 mm an axis\n"),
+        of_session.stderr.contains("target SMR: stated by s.toml, +- 0.02 mm per axis\n"),
         "{of_session:?}"
     );
     assert!(found(&of_robot) == found(&of_session), "the estimates differ");
     let free = sandbox.run(arguments);
-    assert!(free.stderr.contains("target 1: identified, nothing is stated of it\n"), "{free:?}");
+    assert!(free.stderr.contains("target 1: identified, because nothing is stated about it\n"), "{free:?}");
     assert!(found(&free) != found(&of_robot));
 }
 
@@ -687,7 +687,7 @@ fn a_session_file_that_cannot_be_used_is_refused_at_its_line() {
             format!("[[station]]\nname = \"s\"\n{}{}", nest(1), nest(2)),
             "s.toml:3: ",
             "2 base nests were measured: placing the tracker needs at least 3",
-            "or none",
+            "or no nests",
         ),
         (
             "one.csv",
@@ -717,7 +717,7 @@ fn a_session_file_that_cannot_be_used_is_refused_at_its_line() {
             "one.csv",
             target("A", "") + &target("B", ""),
             "s.toml:3: ",
-            "does not name its target, and 2 are described",
+            "does not name its target, but 2 are described",
             "a column target",
         ),
         (

@@ -153,7 +153,7 @@ fn the_part_of_the_readings_is_told() {
         "only calibration",
         "tracker placed by the base nests",
         "its text was not at hand",
-        "none of the machine's shows",
+        "the machine's own cannot be seen beside it",
     ] {
         assert!(text.contains(part), "{part} in\n{text}");
     }
@@ -362,12 +362,12 @@ fn cycles_that_are_none_are_refused_with_what_to_do() {
     refused(
         &rows[..20],
         &[],
-        &["pose 5 was measured in 3 cycles, pose 1 in 4", "--cycles N uses the first N of every pose"],
+        &["pose 5 was measured in 3 cycles, but pose 1 in 4", "--cycles N uses the first N of every pose"],
     );
     refused(
         &rows[..20],
         &["--cycles", "4"],
-        &["pose 5 was measured in 3 cycles, 4 were asked for", "expected a smaller --cycles"],
+        &["pose 5 was measured in 3 cycles, but 4 were asked for", "expected a smaller --cycles"],
     );
     refused(&rows, &["--target", "B"], &["there is no target \"B\": expected one of SMR"]);
     refused(&rows, &["--average-repeats"], &["none of the 5 poses", "no --average-repeats"]);
