@@ -48,7 +48,7 @@ pub enum ClosureError {
         /// Index of the elbow.
         elbow: usize,
     },
-    /// A chain that cannot be one, or a command or joint variables that are not one finite number a joint.
+    /// The chain is not valid, or the command or the joint variables do not have one finite number per joint.
     #[error(transparent)]
     Model(#[from] ModelError),
 }

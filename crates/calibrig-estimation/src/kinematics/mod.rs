@@ -26,7 +26,7 @@ pub(crate) const TARGET: &str = "the target's offset";
 ///
 /// # Errors
 ///
-/// [`ModelError`], where the chain cannot be one, or `q` is not one finite number a joint.
+/// [`ModelError`], where the chain is not valid, or `q` does not have one finite number per joint.
 pub fn forward_kinematics(model: &KinematicModel, q: &[f64]) -> Result<Transform, ModelError> {
     model.check()?;
     model.check_joints(JOINTS, q)?;

@@ -170,7 +170,7 @@ impl ElasticChain {
     ///
     /// # Errors
     ///
-    /// [`ModelError`], where the robot cannot be one.
+    /// [`ModelError`], where the robot's model is not valid.
     pub fn new(reference: &CalibrationModel) -> Result<Self, ModelError> {
         reference.check()?;
         Ok(Self::of(reference))
@@ -216,7 +216,7 @@ impl ElasticChain {
     ///
     /// # Errors
     ///
-    /// [`ModelError`], where the robot cannot be one, or is not built as the reference model.
+    /// [`ModelError`], where the robot's model is not valid, or is not built as the reference model.
     pub fn set_model(&mut self, model: &CalibrationModel) -> Result<(), ModelError> {
         model.check()?;
         self.fits(model)?;

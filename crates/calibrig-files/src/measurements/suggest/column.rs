@@ -243,7 +243,7 @@ impl SeenColumn {
         self.texts.iter().map(String::as_str).collect()
     }
 
-    /// Cells that are no numbers among numbers, and numbers that are codes.
+    /// Cells that are not numbers among numbers, and numbers that are codes.
     pub fn marks(&self, decimal: Decimal) -> Vec<String> {
         let texts = self.texts.iter().filter(|text| decimal.parse(text).is_none_or(f64::is_nan));
         texts.map(|text| quoted(text)).chain(self.codes.iter().cloned()).collect()
