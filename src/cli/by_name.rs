@@ -20,14 +20,14 @@ use calibrig_model::{CalibrationModel, ParameterId, Unit};
 #[derive(Debug, clap::Args)]
 pub(super) struct ByNameArgs {
     /// Which link parameters: complete (an independent set, by rank), `neighbour_axis_rules` (those that the published rules keep; short:
-    /// rules), or names such as delta_a2,delta_theta4
+    /// rules), or names such as `delta_a2,delta_theta4`
     #[arg(long, value_name = "WHICH,..", value_delimiter = ',', default_value = "complete", value_parser = which)]
     parameters: Vec<String>,
     /// Parameters that stay at their nominal, stated or predicted values, such as `delta_a3`, `target_z` or `compliance_drive2`
     #[arg(long, value_name = "NAME,..", value_delimiter = ',', value_parser = id)]
     fix: Vec<ParameterId>,
     /// Parameters that are fitted even if another choice leaves them out; of link parameters that cannot be told apart, these are kept.
-    /// Example: delta_d3
+    /// Example: `delta_d3`
     #[arg(long, value_name = "NAME,..", value_delimiter = ',', value_parser = id)]
     free: Vec<ParameterId>,
     /// How the tracker is placed [default: nests if three are stated, else free]

@@ -66,7 +66,7 @@ pub(super) struct Args {
     /// The estimate: an estimate.json (of `export calibrated`), or a recording, whose measurements are identified again
     #[arg(long, value_name = "ESTIMATE.json|RECORDING.mcap")]
     estimate: PathBuf,
-    /// Which estimate of a recording, such as with_gravity [default: the fullest one recorded]
+    /// Which estimate of a recording, such as `with_gravity` [default: the fullest one recorded]
     #[arg(long, value_name = "MODE", value_parser = fitted_mode)]
     mode: Option<Mode>,
     /// The nominal robot's file, the one that the estimate was made with (checked by its hash); its URDF states the

@@ -51,7 +51,7 @@ pub(super) struct Args {
     /// Which parameters: those of the rigid chain, or those of a mode that couples geometry and stiffness
     #[arg(long, value_enum, default_value_t = Analysed::Geometry)]
     mode: Analysed,
-    /// Compliances of the coupled modes: drives, all, or names such as compliance_drive2 [default: as the scenario
+    /// Compliances of the coupled modes: drives, all, or names such as `compliance_drive2` [default: as the scenario
     /// states, else drives]
     #[arg(long, value_name = "WHICH,..", value_delimiter = ',')]
     compliances: Option<Vec<String>>,

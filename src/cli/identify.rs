@@ -70,11 +70,11 @@ pub(super) struct Args {
     /// have]
     #[arg(long, value_name = "FAMILY,..", value_delimiter = ',', value_parser = family)]
     terms: Option<Vec<String>>,
-    /// Compliances of the modes `elasto_geometric` and `extended`: drives, all, or names such as compliance_drive2
+    /// Compliances of the modes `elasto_geometric` and `extended`: drives, all, or names such as `compliance_drive2`
     #[arg(long, value_name = "WHICH,..", value_delimiter = ',', default_value = "drives")]
     compliances: Vec<String>,
     /// Limits of a parameter's deviation, in mm, mrad or (compliances, masses) without unit; one end may be open. May be
-    /// repeated. Examples: delta_a4=-5mm..5mm, compliance_drive2=0..
+    /// repeated. Examples: `delta_a4=-5mm..5mm`, `compliance_drive2=0..`
     #[arg(long, value_name = "NAME=MIN..MAX", value_parser = bound)]
     bound: Vec<ParameterBound>,
     /// Random errors of the machine from pose to pose: estimated if the residuals call for it, always estimated, or as stated with

@@ -53,7 +53,7 @@ pub(super) struct RowArgs {
     /// Sheet of an XLSX file [default: the first]
     #[arg(long, value_name = "NAME")]
     sheet: Option<String>,
-    /// Topic of the joint states in a bag (`sensor_msgs/JointState`), such as /joint_states [default: the only one]
+    /// Topic of the joint states in a bag (`sensor_msgs/JointState`), such as `/joint_states` [default: the only one]
     #[arg(long, value_name = "TOPIC")]
     bag_joints: Option<String>,
     /// Topic of the points in a bag (`geometry_msgs/PointStamped`, `PoseStamped`, `PoseWithCovarianceStamped` or `TransformStamped`,

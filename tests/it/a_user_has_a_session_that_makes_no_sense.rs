@@ -357,7 +357,16 @@ fn a_gross_error_is_named_with_its_size_under_every_loss() {
     lines[7].1[0] += 5.0;
     let sandbox = sandbox(&lines);
     let ended = identify(&sandbox, &["--out", "out"]);
-    told(&ended, 3, &["pose 8 (", "--loss tukey", "doubtful: only calibration: far from what the others say", "not searched for"]);
+    told(
+        &ended,
+        3,
+        &[
+            "pose 8 (",
+            "--loss tukey",
+            "doubtful: only calibration: far from what the others say",
+            "not searched for",
+        ],
+    );
     let report: serde_json::Value = serde_json::from_str(&sandbox.read("out/report.json")).expect("JSON");
     let estimate = &report["estimates"]["only_calibration"];
     assert_eq!(estimate["status"], "gross_errors");
@@ -367,7 +376,11 @@ fn a_gross_error_is_named_with_its_size_under_every_loss() {
     assert!(estimate["reasons"][0].as_str().is_some_and(|reason| reason.contains("pose 8")));
     assert_eq!(estimate["judgement"]["consistent"], false);
     for loss in ["huber", "cauchy", "tukey"] {
-        told(&identify(&sandbox, &["--loss", loss]), 0, &["warning: far from what the others say", "pose 8 ("]);
+        told(
+            &identify(&sandbox, &["--loss", loss]),
+            0,
+            &["warning: far from what the others say", "pose 8 ("],
+        );
     }
 }
 

@@ -129,7 +129,12 @@ fn bad_payloads_of_a_scenario_are_refused() {
             "no pose carries this payload",
             "[carried]",
         ),
-        ("name = \"50 kg\"", "name = \"25 kg\"", "a second payload \"25 kg\"", "a different name for each payload"),
+        (
+            "name = \"50 kg\"",
+            "name = \"25 kg\"",
+            "a second payload \"25 kg\"",
+            "a different name for each payload",
+        ),
         ("order = \"blocks\"", "order = \"block\"", "block", "blocks"),
     ] {
         assert!(text.contains(from), "{from}");
@@ -147,8 +152,7 @@ fn bad_payloads_of_a_scenario_are_refused() {
 fn payloads_go_through_recordings_and_files() {
     let sandbox = Sandbox::new();
     let checked = sandbox.run(["check", SCENARIO]);
-    let expected =
-        "payloads     identification: nothing, 25 kg (25.0 kg), 50 kg (50.0 kg); in sequence";
+    let expected = "payloads     identification: nothing, 25 kg (25.0 kg), 50 kg (50.0 kg); in sequence";
     assert!(checked.stdout.contains(expected), "{checked:?}");
     let ran = sandbox.run(["run", SCENARIO, "--out", "out", "--json"]);
     assert_eq!(ran.code, Some(0), "{ran:?}");

@@ -266,7 +266,13 @@ fn how_many_poses_an_accuracy_needs() {
     let file = MATCHED;
     let arguments = ["plan", MATCHED, "--accuracy", "0.01mm", "--most", "40"];
     let arguments: Vec<&str> = arguments.into_iter().chain(sigma).collect();
-    assert_refused(&sandbox, &arguments, file, "the machine's own random error, pose by pose, is already", "a larger --accuracy");
+    assert_refused(
+        &sandbox,
+        &arguments,
+        file,
+        "the machine's own random error, pose by pose, is already",
+        "a larger --accuracy",
+    );
     // With a number of poses the plan is told all the same, and is to be looked at.
     let ended = sandbox.run(arguments.iter().copied().chain(["--poses", "20"]));
     assert_eq!(ended.code, Some(3), "{ended:?}");

@@ -464,7 +464,8 @@ fn a_session_file_makes_identify_the_replay_of_the_same_recording() {
     // It is another question than without: the base's own parameters are told by the nests.
     let [identified, replayed] = both_ways(&sandbox, &files[..6]);
     assert!(found(&identified) == found(&replayed), "the estimates differ");
-    let told = "target SMR: identified, starting from the offset that t/robot.toml states without an uncertainty\n";
+    let told =
+        "target SMR: identified, starting from the offset that t/robot.toml states without an uncertainty\n";
     assert!(identified.stderr.contains(told), "{}", identified.stderr);
     assert!(
         identified.stderr.contains("station 1: identified, because no nests are stated\n"),

@@ -27,7 +27,7 @@ The measurements of a recording are identified again, as calibrig replay does, w
 pub(super) struct Args {
     /// A recording, or an estimate.json
     input: PathBuf,
-    /// Which estimate, such as elasto_geometric [default: the fullest one recorded]
+    /// Which estimate, such as `elasto_geometric` [default: the fullest one recorded]
     #[arg(long, value_name = "MODE", value_parser = fitted_mode)]
     mode: Option<Mode>,
     /// Folder for the files

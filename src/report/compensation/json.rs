@@ -293,7 +293,7 @@ fn corrected(made: &Compensation, index: usize, point: &Corrected) -> JsonCorrec
         before_m: found.map(|found| axes(found.uncompensated)),
         left_m: found.and_then(|found| finite(found.missed())),
         left_rad: found.and_then(|_| finite(point.left_angle)),
-        sigma_m: found.and_then(CompensatedPoint::sigma).map(|sigma| axes(sigma)),
+        sigma_m: found.and_then(CompensatedPoint::sigma).map(axes),
         sigma_3d_m: point.sigma().and_then(finite),
         limits: found.iter().flat_map(|found| &found.limits).map(at_limit).collect(),
         extrapolated: point.beyond.iter().map(beyond).collect(),

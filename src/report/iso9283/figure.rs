@@ -97,7 +97,7 @@ pub(super) fn accuracy_figure(
         let (body, _) = area.split_vertically(px(PANEL));
         let columns = poses.len().max(1) as f64;
         let decades: Vec<f64> =
-            (0..).map(|step| low + f64::from(step)).take_while(|at| *at <= high).collect();
+            (0..64).map(|step| low + f64::from(step)).take_while(|at| *at <= high).collect();
         let ticks: Vec<f64> = decades.iter().map(|at| 10.0_f64.powf(*at)).collect();
         let axes =
             Axes { top: 6, room: (22, 62), labels: (0, 0), title: "AP, mm (logarithmic)", ..Axes::default() };
