@@ -231,7 +231,7 @@ fn dh_lines(outcome: &Outcome, style: Style) -> Vec<String> {
     let Some((mode, links)) = corrected_links(outcome) else { return Vec::new() };
     let mut lines = vec![style.paint(Ink::Heading, &format!("Corrected D-H table: {}", mode.title()))];
     let row = |name: &str, what: &str, cells: [String; 5]| {
-        let cells: String = cells.iter().map(|cell| format!("{cell:>14}")).collect();
+        let cells = cells.map(|cell| format!("{cell:>14}")).concat();
         format!("{:<18.18}{what:<12}{cells}", printable(name))
     };
     lines.push(row("joint", "", DH_COLUMNS.map(|(letter, unit, ..)| format!("{letter}, {unit}"))));

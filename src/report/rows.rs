@@ -126,7 +126,9 @@ impl Panel {
             .x_label_area_size(px(AXIS))
             .build_cartesian_2d(x.clone(), bottom..-0.5)?;
         let width = body.dim_in_pixel().0;
-        if !scale.ticks.is_empty() {
+        if scale.ticks.is_empty() {
+            values_below(&mut chart, width, 3..=7)?;
+        } else {
             chart
                 .configure_mesh()
                 .disable_mesh()
@@ -135,8 +137,6 @@ impl Panel {
                 .axis_style(INK.mix(0.6).stroke_width(2))
                 .draw()?;
             vertical_ticks(body, &chart, &scale.ticks, &(bottom..-0.5))?;
-        } else {
-            values_below(&mut chart, width, 3..=7)?;
         }
         let plot = chart.plotting_area();
         for row in 1..self.rows.len() {

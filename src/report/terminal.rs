@@ -60,8 +60,8 @@ pub(super) fn aligned(title: &str, numbers: &[String]) -> String {
 /// A title, cut where it would reach into the columns, and cells of so many characters.
 pub(super) fn columns(title: &str, cells: &[String], width: usize) -> String {
     let title: String = printable(title).chars().take(TITLE - 1).collect();
-    let cells: String = cells.iter().map(|cell| format!("{cell:>width$}")).collect();
-    format!("{title:<TITLE$}{cells}").trim_end().to_owned()
+    let cells: Vec<String> = cells.iter().map(|cell| format!("{cell:>width$}")).collect();
+    format!("{title:<TITLE$}{}", cells.concat()).trim_end().to_owned()
 }
 
 /// Millimetres to the micrometre; large numbers, which only a failed fit has, in fewer digits.
