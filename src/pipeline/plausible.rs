@@ -32,7 +32,7 @@ pub struct Implausible {
 ///
 /// # Errors
 ///
-/// [`PipelineError::Implausible`]; [`PipelineError::Identify`] if model and set do not belong together.
+/// [`PipelineError::Implausible`]; [`CalibrateError::Identify`] if model and set do not belong together.
 pub fn check_plausible(
     model: &CalibrationModel,
     sets: &[SetOutcome],
