@@ -25,7 +25,7 @@
 //! assert!((found.base_from_tool.translation.vector - goal.position()).norm() < 1e-9);
 //!
 //! let too_far = inverse.solve(&Goal::Position(Vector3::new(9.0, 0.0, 1.0)), &InverseOptions::default());
-//! assert!(too_far.unwrap_err().to_string().contains("the nearest command that was found misses it by"));
+//! assert!(too_far.unwrap_err().to_string().contains("the nearest command found misses it by"));
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
